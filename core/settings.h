@@ -1,19 +1,19 @@
 // How a vehicle's trajectory is kept and searched: the settings, their defaults
-// and their ranges. How one is added: docs/how-it-works.md.
+// and what follows from them. Their ranges: settings_table.h. How one is added:
+// docs/how-it-works.md.
 #ifndef REVISIT_CORE_SETTINGS_H_
 #define REVISIT_CORE_SETTINGS_H_
 
-#include <algorithm>
 #include <cstdint>
 #include <limits>
+#include <optional>
 #include <string>
 #include <vector>
 
-#include "core/drive/correlation.h"
-#include "core/drive/retention.h"
-#include "core/geometry/pose.h"
-#include "core/search/alignment/log_similarity.h"
-#include "core/search/alignment/shape_filter.h"
+#include "core/drive/node_index.h"
+#include "core/geometry/state_space.h"
+#include "core/noise/comparison.h"
+#include "core/noise/noise_model.h"
 
 namespace revisit::core {
 
@@ -24,20 +24,35 @@ enum class AlignmentKind { kRelative, kComposite };
 // are sought.
 enum class SearchDirection { kSame, kOpposite, kEither };
 
+// How far the shape of one pass may stray from that of another
+// (shape_filter.h).
+struct ShapeModel {
+  // Standard deviations by which each node strays, beside the drift: position
+  // [0.01, 1000] m, heading [0.001, 3] rad.
+  PlaceTolerance tolerance{1.0, 0.06};
+  // Distance over which nodes stray together, [0.01, 1e6] m.
+  double correlation_meters = 20.0;
+
+  bool operator==(const ShapeModel& other) const {
+    return tolerance == other.tolerance &&
+           correlation_meters == other.correlation_meters;
+  }
+};
+
 // How candidates are searched for. A vehicle has options of its own, and a
 // single search may be given others.
 struct SearchOptions {
   AlignmentKind alignment = AlignmentKind::kRelative;
   CorrelationModel correlation_model = CorrelationModel::kDeadReckoning;
-  // Distance over which the errors of kCorrelatedFixes decorrelate.
+  // Distance over which errors decorrelate (Correlation::meters).
   double fix_correlation_meters = Correlation::kUsualMeters;
   // For kComposite only.
   LikelihoodForm likelihood_form = LikelihoodForm::kGaussian;
   SearchDirection direction = SearchDirection::kSame;
   // Travelled distance before the query that is no history; it is rounded to a
   // number of nodes. These nodes are aligned with the history, and with
-  // kRelative up to kOverlapSequences times as many unless errors are
-  // kIndependent.
+  // kRelative up to kOverlapSequences times as many where long overlaps tell
+  // more (NoiseModel).
   double sequence_length_meters = 150.0;
   // Probability with which the gate accepts a true revisit.
   double gate_probability = 0.95;
@@ -64,10 +79,32 @@ struct SearchOptions {
   // Least posterior probability of a stretch of road that is accepted.
   double acceptance_probability = 0.45;
   // Whether the search begins with what the drive has shown before
-  // (drive_belief.h). kDeadReckoning only, and where that is the vehicle's
-  // model too; others begin with the claims as they are.
+  // (drive_belief.h), where the noise model lets it and is the vehicle's own;
+  // others begin with the claims as they are.
   bool use_belief = true;
 };
+
+// The most passes of a place that one can ask to keep.
+inline constexpr int kMostPasses = 20;
+
+// Least and greatest age that one can ask to keep: a second, and 100 years of
+// 365 days.
+inline constexpr std::int64_t kLeastAgeNanoseconds = 1'000'000'000;
+inline constexpr std::int64_t kMostAgeNanoseconds =
+    std::int64_t{100} * 365 * 24 * 3600 * 1'000'000'000;
+
+// The part of the history that is kept (retention.h).
+struct RetentionOptions {
+  // The greatest age (stamps.h). A node without a stamp has no age.
+  std::optional<std::int64_t> max_age_ns;
+  // Passes of each place in each direction that are kept; 0: all. At most
+  // kMostPasses.
+  int max_passes = 0;
+};
+
+inline bool operator==(const RetentionOptions& a, const RetentionOptions& b) {
+  return a.max_age_ns == b.max_age_ns && a.max_passes == b.max_passes;
+}
 
 struct DriveSettings {
   StateSpace state_space = StateSpace::kPlanar;
@@ -82,79 +119,27 @@ struct DriveSettings {
   bool apply_inflation = false;
   double max_inflation = 10.0;
   SearchOptions search;
-  // The part of the history that is kept.
   RetentionOptions retention;
 };
 
 // A relative alignment takes what agrees of so many sequences back from the
 // query. The farther two paths run together, the surer it is that they are on
 // one road and where along it: the last corner may lie farther back than one
-// sequence. On the roads that were tried, more than two add nothing. Where
-// errors are independent of each other, the end's own fix tells the place, and
-// what lies far back only adds its noise.
+// sequence. On the roads that were tried, more than two add nothing.
 inline constexpr std::int64_t kOverlapSequences = 2;
+
+// Marks whose places are remembered (mark.h): over a longer way, the drift
+// becomes another.
+inline constexpr std::int64_t kDriftMarks = 24;
 
 inline constexpr double kLeastSpacingMeters = 0.01;
 inline constexpr int kMaxCandidates = 100;
 inline constexpr std::int64_t kMaxSequenceNodes = 1000;
 inline constexpr std::int64_t kMaxNodesPerStep = 1000;
 
-// A number among the settings, and its range.
-struct NumberSetting {
-  // Name of the field here, such as "place_tolerance.position_meters".
-  const char* field;
-  double value;
-  double lowest;
-  double highest;
-  // Whether the number may be lowest or highest itself.
-  bool takes_ends = true;
-};
-
-// The longest max_step_meters that is allowed with this spacing: a single pose
-// must not add nodes without bound. A spacing that is itself refused sets no
-// bound.
-double LongestStep(double node_spacing_meters);
-
-// All numbers among the settings with their ranges, in the order in which
-// problems are reported; but see FindProblems() for sequence_length_meters.
-inline std::vector<NumberSetting> NumbersOf(const DriveSettings& s) {
-  return {{"node_spacing_meters", s.node_spacing_meters, kLeastSpacingMeters,
-           1000.0},
-          {"check_interval_meters", s.check_interval_meters,
-           std::max(kLeastSpacingMeters, s.node_spacing_meters), 1e5},
-          {"max_step_meters", s.max_step_meters, 0.01,
-           LongestStep(s.node_spacing_meters)},
-          {"max_inflation", s.max_inflation, 1.0, 100.0},
-          {"retention.max_age",
-           static_cast<double>(
-               s.retention.max_age_ns.value_or(kLeastAgeNanoseconds)) /
-               1e9,
-           kLeastAgeNanoseconds / 1e9, kMostAgeNanoseconds / 1e9},
-          {"retention.max_passes", static_cast<double>(s.retention.max_passes),
-           0.0, kMostPasses}};
-}
-inline std::vector<NumberSetting> NumbersOf(const SearchOptions& o) {
-  const PlaceTolerance& shape = o.shape.tolerance;
-  return {
-      {"fix_correlation_meters", o.fix_correlation_meters, 1.0, 1e6},
-      {"gate_probability", o.gate_probability, 0.0, 1.0, false},
-      {"place_tolerance.position_meters", o.place_tolerance.position_meters,
-       0.0, 1000.0},
-      {"place_tolerance.heading_radians", o.place_tolerance.heading_radians,
-       0.0, 3.0},
-      {"candidate_separation_meters", o.candidate_separation_meters, 0.0, 1e6},
-      {"max_candidates", static_cast<double>(o.max_candidates), 1.0,
-       kMaxCandidates},
-      {"shape.tolerance.position_meters", shape.position_meters, 0.01, 1000.0},
-      {"shape.tolerance.heading_radians", shape.heading_radians, 0.001, 3.0},
-      {"shape.correlation_meters", o.shape.correlation_meters, 0.01, 1e6},
-      {"road_spacing_meters", o.road_spacing_meters, 1.0, 1e6},
-      {"acceptance_probability", o.acceptance_probability, 0.0, 1.0, false}};
-}
-
 // A setting that is out of range.
 struct SettingProblem {
-  // NumberSetting::field, or the name of another field.
+  // SettingRow::field (settings_table.h).
   std::string field;
   // The value that was given and those that are allowed.
   std::string description;
@@ -167,10 +152,46 @@ std::vector<SettingProblem> FindProblems(const DriveSettings& settings);
 std::vector<SettingProblem> FindProblems(const SearchOptions& options,
                                          const DriveSettings& vehicle);
 
-// Whether the same poses make another graph under the settings after than under
-// those before.
+// What has to be made anew where settings change, beside the answers of
+// searches, which may follow any option. A sum of these.
+enum Remade : unsigned {
+  kRemadeNothing = 0,
+  // The nodes: the same poses make another graph.
+  kRemadeNodes = 1,
+  // The statistics of the nodes' motion (motion_history.h).
+  kRemadeMotionHistory = 2,
+  // The evidence of marks (mark.h).
+  kRemadeMarks = 4,
+  // What confirmed loop closures have shown (consistency.h).
+  kRemadeConsistency = 8,
+  // Which nodes are to be kept (retention.h).
+  kRemadeKept = 16,
+};
+
+// The sum of what the settings that differ say of themselves in the table.
+// Where nothing is said, what is there stays as it is, to the last bit.
+unsigned RemadeBetween(const DriveSettings& before, const DriveSettings& after);
+// Whether the same poses make another graph.
 bool MovesNodes(const DriveSettings& before, const DriveSettings& after);
 
+// The options with which the marks of a vehicle are searched that has these of
+// its own. They tell apart what marks depend on: all others are at their
+// defaults.
+SearchOptions MarkOptions(const SearchOptions& own);
+
+// Whether a search with these options, of a vehicle with these settings, begins
+// with a belief (drive_belief.h). Marks show scale and drift under the
+// vehicle's own noise model, so they say nothing about another.
+bool BeginsWithBelief(const SearchOptions& options,
+                      const DriveSettings& vehicle);
+
+// The correlation that the options ask for.
+Correlation CorrelationOf(const SearchOptions& options);
+
+// The longest max_step_meters that is allowed with this spacing: a single pose
+// must not add nodes without bound. A spacing that is itself refused sets no
+// bound.
+double LongestStep(double node_spacing_meters);
 // The default maximal step, or the longest that is allowed with this spacing if
 // that is less.
 double DefaultMaxStep(double node_spacing_meters);
@@ -178,6 +199,15 @@ double DefaultMaxStep(double node_spacing_meters);
 // Nodes in a sequence of this length: at least 1.
 std::int64_t SequenceNodes(double sequence_length_meters,
                            double node_spacing_meters);
+
+// Steps of the stretches whose turns are compared: they are as long as the
+// correlation distance, but no longer than a path of `steps` nodes, so that
+// like is compared with like.
+NodeIndex StretchNodes(const ShapeModel& model, double spacing_meters,
+                       std::int64_t steps);
+
+// Meters of path between the marks of a vehicle.
+double MarkSpacing(const DriveSettings& settings);
 
 }  // namespace revisit::core
 

@@ -77,7 +77,7 @@ double RatioOfMeans(double a, double b) {
 }
 
 // The share of two fixes' covariances that is left in their difference, as the
-// searches have it (core/drive/correlation.h).
+// searches have it (core/noise/correlated_fixes.h).
 double UncorrelatedShare(const Matrix4d& a, const Matrix4d& b, double meters,
                          const v1::VehicleSettings& settings) {
   const auto position = [](const Matrix4d& m) {

@@ -3,7 +3,7 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 
-#include "core/drive/correlation.h"
+#include "core/noise/dead_reckoning.h"
 
 namespace revisit::core {
 namespace {

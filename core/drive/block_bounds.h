@@ -38,8 +38,8 @@ class BlockBounds {
   //
   //   S_q - Psi(q, j) S_j Psi(q, j)^T
   //
-  // is positive definite, and so is the covariance of their difference under
-  // kDeadReckoning. `blocks` if it cannot be shown of any.
+  // is positive definite, and so is the covariance of their difference in the
+  // form kGrown. `blocks` if it cannot be shown of any.
   // REQUIRES: blocks <= size(); the query lies after these blocks.
   std::size_t FirstGrowing(const PoseGraph& graph, NodeIndex query,
                            std::size_t blocks) const;

@@ -5,8 +5,8 @@
 #include <cmath>
 #include <utility>
 
+#include "absl/strings/str_cat.h"
 #include "core/drive/node_range.h"
-#include "core/search/belief/begins_with_belief.h"
 #include "core/search/belief/drive_belief.h"
 #include "core/search/candidates/mark_search.h"
 #include "core/search/candidates/posterior.h"
@@ -25,7 +25,7 @@ ResamplerOptions MakeResamplerOptions(const DriveSettings& settings) {
   options.spacing_meters = settings.node_spacing_meters;
   options.max_step_meters = settings.max_step_meters;
   options.carry_transitions =
-      settings.search.correlation_model == CorrelationModel::kFilter;
+      NoiseOf(settings.search.correlation_model).carries_transitions;
   return options;
 }
 
@@ -231,28 +231,38 @@ std::vector<NodeIndex> Drive::LoopEnds() const {
   return ends;
 }
 
-void Drive::ChangeSettings(const DriveSettings& settings,
-                           std::uint64_t revision) {
+absl::Status Drive::ChangeSettings(const DriveSettings& settings,
+                                   std::uint64_t revision) {
   assert(revision > revision_);
-  assert(FindProblems(settings).empty());
-  assert(!MovesNodes(settings_, settings));
-  const bool monitored_alike =
-      MakeConsistencyOptions(settings) == MakeConsistencyOptions(settings_);
-  if (!HaveSameMarks(settings_.search, settings.search)) {
-    ++mark_settings_version_;
+  if (const auto problems = FindProblems(settings); !problems.empty()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(problems[0].field, ": ", problems[0].description));
+  }
+  const unsigned remade = RemadeBetween(settings_, settings);
+  if ((remade & kRemadeNodes) != 0) {
+    return absl::FailedPreconditionError(
+        "these settings move nodes: the drive has to be made anew");
   }
   settings_ = settings;
   revision_ = revision;
-  if (!monitored_alike) RebuildMonitor();
-  MotionHistory history = MakeMotionHistory();
-  if (!(history.correlation() == motion_history_.correlation()) ||
-      history.stretch_nodes() != motion_history_.stretch_nodes()) {
-    motion_history_ = std::move(history);
-    ExtendIndexes();
-  }
+  if ((remade & kRemadeMarks) != 0) ++mark_settings_version_;
+  if ((remade & kRemadeConsistency) != 0) RebuildMonitor();
+  if ((remade & kRemadeMotionHistory) != 0) RebuildMotionHistory();
   leap_watch_ = MakeLeapWatch();
   leap_watch_.Extend(graph_, dropped_);
   ScheduleNextCheck();
+  return absl::OkStatus();
+}
+
+// A setting that differs may come to the same in whole nodes.
+void Drive::RebuildMotionHistory() {
+  MotionHistory history = MakeMotionHistory();
+  if (history.correlation() == motion_history_.correlation() &&
+      history.stretch_nodes() == motion_history_.stretch_nodes()) {
+    return;
+  }
+  motion_history_ = std::move(history);
+  ExtendIndexes();
 }
 
 std::optional<std::pair<NodeIndex, NodeIndex>> Drive::LoopEdge(

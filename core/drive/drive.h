@@ -15,6 +15,7 @@
 #include <utility>
 #include <vector>
 
+#include "absl/status/status.h"
 #include "absl/strings/string_view.h"
 #include "core/drive/block_bounds.h"
 #include "core/drive/distance_resampler.h"
@@ -73,8 +74,7 @@ class Drive {
 
   // Goes on behind poses that were dropped: the next pose starts a segment, and
   // that is no jump. REQUIRES: the stretch begins at last_sequence() + 1 and
-  // has a transition where the model is kFilter; revision greater than
-  // revision().
+  // has a transition where nodes carry them; revision greater than revision().
   void Skip(const DroppedStretch& stretch, std::uint64_t revision);
 
   // The stretches that were skipped.
@@ -96,11 +96,12 @@ class Drive {
   // The options by which the graph's nodes are made.
   ResamplerOptions resampler_options() const;
 
-  // Replaces the settings of searches and checks, which do not move nodes.
-  // REQUIRES: FindProblems(settings) is empty; the state space, the node
-  // spacing, the maximal step, and whether the model is kFilter do not change;
-  // revision greater than revision().
-  void ChangeSettings(const DriveSettings& settings, std::uint64_t revision);
+  // Replaces the settings. INVALID_ARGUMENT if they have problems, and
+  // FAILED_PRECONDITION if they move nodes (MovesNodes()), which takes the
+  // poses again: then nothing changes. REQUIRES: revision greater than
+  // revision().
+  absl::Status ChangeSettings(const DriveSettings& settings,
+                              std::uint64_t revision);
 
   // Adds or removes an edge between the last nodes at or before two poses. Two
   // poses at one node have no edge, nor have two of which one was dropped; that
@@ -186,15 +187,16 @@ class Drive {
   std::optional<std::pair<NodeIndex, NodeIndex>> LoopEdge(
       std::uint64_t query_sequence, std::uint64_t matched_sequence) const;
   void ScheduleNextCheck();
-  // Searches under kFilter go through all nodes in any case, and their nodes
-  // take the most memory: they do without indexes.
+  // Where Gamma has no closed form, searches go through all nodes in any case,
+  // and nodes take the most memory: they do without indexes.
   bool has_indexes() const {
-    return settings_.search.correlation_model != CorrelationModel::kFilter;
+    return NoiseOf(settings_.search.correlation_model).has_closed_form();
   }
   // Begins a part or the rest, and reads its beginning.
   ByteWriter BeginState(std::uint64_t parts_before) const;
   bool ReadBeginning(ByteReader* reader) const;
   MotionHistory MakeMotionHistory() const;
+  void RebuildMotionHistory();
   // Without loop ends.
   RetentionNeeds MakeRetentionNeeds() const;
   LeapWatch MakeLeapWatch() const;

@@ -21,8 +21,8 @@ struct DroppedStretch {
   // without jumps; from the first pose of the stretch if none is before it. At
   // least 0.
   double travelled_meters = 0.0;
-  // Product of the error transitions of its poses, the latest on the left; for
-  // kFilter only.
+  // Product of the error transitions of its poses, the latest on the left,
+  // where poses bring them.
   std::optional<ErrorTransition> transition;
 };
 

@@ -21,12 +21,12 @@
 #include <vector>
 
 #include "core/base/byte_stream.h"
-#include "core/drive/correlation.h"
 #include "core/drive/heading_bins.h"
 #include "core/drive/motion_statistics.h"
 #include "core/drive/pose_graph.h"
 #include "core/drive/turn_pairs.h"
 #include "core/geometry/pose.h"
+#include "core/noise/noise_model.h"
 
 namespace revisit::core {
 
@@ -40,7 +40,7 @@ class MotionHistory {
 
   const Correlation& correlation() const { return correlation_; }
   NodeIndex stretch_nodes() const { return turn_bins_.stretch_nodes(); }
-  // Those of all nodes that were added.
+  // The turns and headings of all nodes that were added.
   const TurnBins& turn_bins() const { return turn_bins_; }
   const HeadingBins& heading_bins() const { return heading_bins_; }
 

@@ -6,7 +6,9 @@
 #include <cmath>
 #include <cstddef>
 
+#include "core/drive/node_noise.h"
 #include "core/geometry/heading.h"
+#include "core/noise/covariances.h"
 
 namespace revisit::core {
 namespace {
@@ -28,24 +30,11 @@ StateMatrix<D> WithoutNegativePart(const StateMatrix<D>& m) {
          solver.eigenvectors().transpose();
 }
 
-// What a fix wanders off by in one step, and beside it the variance of its
-// heading.
-template <int D>
-StateMatrix<D> WanderingOf(const StateMatrix<D>& difference,
-                           double heading_variance) {
-  StateMatrix<D> wandering = difference;
-  wandering.row(D - 1).setZero();
-  wandering.col(D - 1).setZero();
-  wandering(D - 1, D - 1) = heading_variance;
-  return wandering;
-}
-
 }  // namespace
 
 template <int D>
 void AddMotion(const PoseGraph& graph, const Correlation& correlation,
                NodeIndex first, NodeIndex end, MotionSums<D>* sums) {
-  const CorrelationModel model = correlation.model;
   assert(0 <= first && end <= graph.size());
   if (first >= end) return;
   // Segments are long, so their starts are looked up only once each.
@@ -56,33 +45,9 @@ void AddMotion(const PoseGraph& graph, const Correlation& correlation,
       next_start = graph.SegmentEnd(i);
       continue;
     }
-    const Pose later = graph.pose(i);
     ++sums->steps;
-    const StateMatrix<D> covariance = ToMatrix<D>(graph.covariance(i));
-    if (model == CorrelationModel::kIndependent) {
-      sums->sum += InVehicleAxes<D>(covariance, later.heading);
-      continue;
-    }
-    if (model == CorrelationModel::kCorrelatedFixes) {
-      sums->sum += InVehicleAxes<D>(
-          WanderingOf<D>(DifferenceCovariance<D>(graph, correlation, i - 1, i),
-                         covariance(D - 1, D - 1)),
-          later.heading);
-      continue;
-    }
-    const StateMatrix<D> before = ToMatrix<D>(graph.covariance(i - 1));
-    const StateMatrix<D> f =
-        DeadReckoningTransition<D>(graph.pose(i - 1), later);
-    const StateMatrix<D> carried = f * before;
-    StateMatrix<D> added = covariance;
-    if (model == CorrelationModel::kDeadReckoning) {
-      added -= carried * f.transpose();
-    } else {
-      const StateMatrix<D> psi = ToMatrix<D>(graph.transition(i));
-      const StateMatrix<D> mixed = carried * psi.transpose();
-      added += carried * f.transpose() - mixed - mixed.transpose();
-    }
-    sums->sum += InVehicleAxes<D>(added, later.heading);
+    sums->sum += InVehicleAxes<D>(StepCovariance<D>(graph, correlation, i),
+                                  graph.pose(i).heading);
   }
 }
 
@@ -94,20 +59,8 @@ MotionStatistics<D> MeanMotion(const Correlation& correlation,
   if (sums.steps == 0) return statistics;
   const StateMatrix<D> mean =
       WithoutNegativePart<D>(sums.sum / static_cast<double>(sums.steps));
-  switch (correlation.model) {
-    case CorrelationModel::kIndependent:
-      statistics.jitter = mean;
-      break;
-    case CorrelationModel::kCorrelatedFixes:
-      statistics.drift = mean;
-      statistics.drift(D - 1, D - 1) = 0.0;
-      statistics.jitter(D - 1, D - 1) = mean(D - 1, D - 1);
-      break;
-    case CorrelationModel::kDeadReckoning:
-    case CorrelationModel::kFilter:
-      statistics.drift = mean;
-      break;
-  }
+  static_cast<StepNoise<D>&>(statistics) =
+      SplitStepCovariance<D>(correlation.model, mean);
   return statistics;
 }
 

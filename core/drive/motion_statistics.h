@@ -8,31 +8,19 @@
 #include <cstdint>
 #include <vector>
 
-#include "core/drive/correlation.h"
 #include "core/drive/pose_graph.h"
 #include "core/geometry/heading.h"
 #include "core/geometry/pose.h"
+#include "core/noise/noise_model.h"
+#include "core/noise/path_pair.h"
 
 namespace revisit::core {
 
-// Means over the steps from one node to the next, without jumps, in the axes of
-// the vehicle at the later node: x forward, y left, z up.
+// Means over the steps from one node to the next, without jumps. What a step
+// adds, the noise model says (OfStep() in core/noise).
 template <int D>
-struct MotionStatistics {
+struct MotionStatistics : StepNoise<D> {
   std::int64_t steps = 0;
-  // Covariance of the error that one step adds, Cov(e_i - F e_(i-1)) with F the
-  // transition of dead reckoning. With Psi the model's transition it is
-  //
-  //   S_i + F S_(i-1) F^T - Psi S_(i-1) F^T - F S_(i-1) Psi^T.
-  //
-  // Zero for kIndependent, whose errors do not accumulate. For
-  // kCorrelatedFixes, the covariance of the difference of the two nodes'
-  // positions, by which fixes wander off: no earlier heading swings them.
-  StateMatrix<D> drift = StateMatrix<D>::Zero();
-  // Covariance of the error of each node that is independent of the others':
-  // S_i for kIndependent, that of the heading for kCorrelatedFixes, since a
-  // heading that is off for a while must not bend the road; else zero.
-  StateMatrix<D> jitter = StateMatrix<D>::Zero();
 };
 
 // The statistics over nodes [0, last]. Both covariances are positive
@@ -47,7 +35,7 @@ MotionStatistics<D> MeasureMotion(const PoseGraph& graph,
 template <int D>
 struct MotionSums {
   std::int64_t steps = 0;
-  // Sum of drift and jitter, of which no entry has both.
+  // Sum of drift and jitter (StepCovariance()).
   StateMatrix<D> sum = StateMatrix<D>::Zero();
 };
 

@@ -87,17 +87,17 @@ void PoseGraph::ReadTransitions(
     std::size_t k, std::vector<ErrorTransition>* transitions) const {
   transitions->assign(NodeBlock::kSize, ErrorTransition{});
   if (!has_transitions_) return;
-  if (k >= packed_.size()) {
+  if (k >= full_.size()) {
     std::copy(transitions_.begin(), transitions_.end(), transitions->begin());
     return;
   }
   for (std::size_t entry = 0; entry < ErrorTransition{}.values.size();
        ++entry) {
-    packed_[k].Visit(kTransition + entry, NodeBlock::kSize,
-                     [&](std::size_t row, std::uint64_t packable) {
-                       (*transitions)[row].values[entry] =
-                           FromPackable(packable);
-                     });
+    full_[k]->packed.Visit(kTransition + entry, NodeBlock::kSize,
+                           [&](std::size_t row, std::uint64_t packable) {
+                             (*transitions)[row].values[entry] =
+                                 FromPackable(packable);
+                           });
   }
 }
 
@@ -163,13 +163,10 @@ void PoseGraph::AddNode(const Node& node, bool starts_segment,
   assert(size_ == 0 || transition.has_value() == has_transitions_);
   if (starts_segment) segment_starts_.push_back(size());
   const std::size_t at = Position(size_) % NodeBlock::kSize;
-  if (at == 0) {
-    if (size_ > 0) Pack();
-    blocks_.emplace_back();
-  }
+  if (at == 0 && size_ > 0) Pack();
   const std::size_t nodes_at_a_time = NodesAtATime();
-  blocks_.back().Add(at, node.pose, node.covariance,
-                     nodes_at_a_time / NodeBlock::kGroupSize);
+  last_.Add(at, node.pose, node.covariance,
+            nodes_at_a_time / NodeBlock::kGroupSize);
   ReserveInSteps(at + 1, nodes_at_a_time, NodeBlock::kSize, &records_);
   // A node without a stamp repeats the one before, which packs to nothing.
   const std::int64_t before = records_.empty() ? 0 : records_.back().stamp_ns;
@@ -220,8 +217,8 @@ void PoseGraph::Pack() {
     }
   }
   assert(next == columns.data() + columns.size());
-  packed_.emplace_back(columns, NodeBlock::kSize);
-  full_bytes_ += blocks_.back().bytes() + packed_.back().bytes();
+  AddFullBlock(std::exchange(last_, NodeBlock()),
+               PackedColumns(columns, NodeBlock::kSize));
   records_.clear();
   transitions_.clear();
   if (NodesAtATime() < NodeBlock::kSize) {
@@ -230,17 +227,22 @@ void PoseGraph::Pack() {
   }
 }
 
+void PoseGraph::AddFullBlock(NodeBlock nodes, PackedColumns packed) {
+  full_bytes_ += sizeof(FullBlock) + nodes.bytes() + packed.bytes();
+  full_.push_back(std::make_shared<const FullBlock>(
+      FullBlock{std::move(nodes), std::move(packed)}));
+}
+
 std::size_t PoseGraph::bytes() const {
   const auto bytes_of = [](const auto& vector) {
     return vector.capacity() * sizeof(vector[0]);
   };
-  const std::size_t last = blocks_.empty() ? 0 : blocks_.back().bytes();
   // Most nodes with loop closures have one.
   const std::size_t loop_end =
       sizeof(*loop_neighbours_.begin()) + sizeof(NodeIndex);
-  return full_bytes_ + last + bytes_of(blocks_) + bytes_of(packed_) +
-         bytes_of(records_) + bytes_of(transitions_) +
-         bytes_of(segment_starts_) + loop_neighbours_.size() * loop_end;
+  return full_bytes_ + bytes_of(full_) + last_.bytes() + bytes_of(records_) +
+         bytes_of(transitions_) + bytes_of(segment_starts_) +
+         loop_neighbours_.size() * loop_end;
 }
 
 void NodeBlock::Save(ByteWriter* writer) const {
@@ -289,15 +291,15 @@ void PoseGraph::SaveBlocks(std::size_t first, std::size_t end,
   assert(first <= end && end <= full_blocks());
   SaveSegmentStarts(first, end, writer);
   for (std::size_t k = first; k < end; ++k) {
-    blocks_[k].Save(writer);
-    packed_[k].Save(writer);
+    full_[k]->nodes.Save(writer);
+    full_[k]->packed.Save(writer);
   }
 }
 
 bool PoseGraph::LoadBlocks(std::size_t count, bool transitions,
                            ByteReader* reader) {
   const NodeIndex first = size_;
-  const std::size_t blocks = blocks_.size() + count;
+  const std::size_t blocks = full_.size() + count;
   const auto end = static_cast<NodeIndex>(blocks * NodeBlock::kSize);
   if (!LoadSegmentStarts(end, reader)) return false;
   has_transitions_ = transitions;
@@ -309,9 +311,7 @@ bool PoseGraph::LoadBlocks(std::size_t count, bool transitions,
                      reader)) {
       return false;
     }
-    full_bytes_ += block.bytes() + packed.bytes();
-    blocks_.push_back(std::move(block));
-    packed_.push_back(std::move(packed));
+    AddFullBlock(std::move(block), std::move(packed));
   }
   size_ = end;
   return IsOrdered(first);
@@ -325,7 +325,7 @@ void PoseGraph::SaveRest(std::size_t first, ByteWriter* writer) const {
   writer->Put(static_cast<std::uint64_t>(records_.size()));
   SaveSegmentStarts(full, full + 1, writer);
   if (records_.empty()) return;
-  blocks_.back().Save(writer);
+  last_.Save(writer);
   writer->PutArray(records_.data(), records_.size());
   for (std::size_t at = 0; at < records_.size(); ++at) {
     writer->Put(static_cast<std::uint8_t>(has_stamp_[at] ? 1 : 0));
@@ -348,10 +348,8 @@ bool PoseGraph::LoadRest(bool transitions, ByteReader* reader) {
   if (!LoadSegmentStarts(end, reader)) return false;
   has_transitions_ = transitions && end > 0;
   if (end == 0) return true;
-  blocks_.emplace_back();
   records_.resize(count);
-  if (!blocks_.back().Load(count, reader) ||
-      !reader->GetArray(records_.data(), count)) {
+  if (!last_.Load(count, reader) || !reader->GetArray(records_.data(), count)) {
     return false;
   }
   for (std::size_t at = 0; at < count; ++at) {
@@ -384,23 +382,24 @@ bool PoseGraph::IsOrdered(NodeIndex first) const {
     sequence = before.sequence;
     travelled = before.travelled_meters;
   }
-  for (std::size_t k = Position(first) / NodeBlock::kSize; k < packed_.size();
+  for (std::size_t k = Position(first) / NodeBlock::kSize; k < full_.size();
        ++k) {
+    const PackedColumns& packed = full_[k]->packed;
     std::array<double, NodeBlock::kSize> meters;
     std::array<double, NodeBlock::kSize> fractions;
-    packed_[k].Visit(kTravelled, NodeBlock::kSize,
-                     [&](std::size_t row, std::uint64_t packable) {
-                       meters[row] = FromPackable(packable);
-                     });
-    packed_[k].Visit(kFraction, NodeBlock::kSize,
-                     [&](std::size_t row, std::uint64_t packable) {
-                       fractions[row] = FromPackable(packable);
-                     });
+    packed.Visit(kTravelled, NodeBlock::kSize,
+                 [&](std::size_t row, std::uint64_t packable) {
+                   meters[row] = FromPackable(packable);
+                 });
+    packed.Visit(kFraction, NodeBlock::kSize,
+                 [&](std::size_t row, std::uint64_t packable) {
+                   fractions[row] = FromPackable(packable);
+                 });
     bool ordered = true;
-    packed_[k].Visit(kSequence, NodeBlock::kSize,
-                     [&](std::size_t row, std::uint64_t next) {
-                       ordered &= follows(next, fractions[row], meters[row]);
-                     });
+    packed.Visit(kSequence, NodeBlock::kSize,
+                 [&](std::size_t row, std::uint64_t next) {
+                   ordered &= follows(next, fractions[row], meters[row]);
+                 });
     if (!ordered) return false;
   }
   return std::all_of(records_.begin(), records_.end(),

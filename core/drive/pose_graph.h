@@ -5,7 +5,11 @@
 // Where the trajectory jumped, consecutive nodes have no edge; the nodes
 // between two jumps form a segment.
 //
-// Thread-compatible: const calls may run at the same time.
+// A copy of a graph is a view of it as it was: it takes little, since the two
+// share all full blocks, and stays the same while the graph grows.
+//
+// Thread-compatible: const calls may run at the same time. A graph and its
+// copies count as different objects.
 #ifndef REVISIT_CORE_DRIVE_POSE_GRAPH_H_
 #define REVISIT_CORE_DRIVE_POSE_GRAPH_H_
 
@@ -14,18 +18,18 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <optional>
 #include <unordered_map>
 #include <utility>
 #include <vector>
 
 #include "core/base/byte_stream.h"
+#include "core/drive/node_index.h"
 #include "core/drive/packed_columns.h"
 #include "core/geometry/pose.h"
 
 namespace revisit::core {
-
-using NodeIndex = std::int64_t;
 
 struct Node {
   // The last pose at or before the node, and the fraction in [0, 1) of the way
@@ -147,6 +151,8 @@ inline std::size_t BlocksOf(NodeIndex count) {
          NodeBlock::kSize;
 }
 
+// Copies take O(blocks + edges + segments): 16 bytes for each full block, and
+// the last one whole.
 class PoseGraph {
  public:
   NodeIndex size() const { return size_; }
@@ -155,8 +161,8 @@ class PoseGraph {
     const std::size_t block = Position(i) / NodeBlock::kSize;
     const std::size_t at = Position(i) % NodeBlock::kSize;
     Node node;
-    if (block < packed_.size()) {
-      const PackedColumns& packed = packed_[block];
+    if (block < full_.size()) {
+      const PackedColumns& packed = full_[block]->packed;
       node.sequence = packed.at(kSequence, at);
       node.fraction = FromPackable(packed.at(kFraction, at));
       node.travelled_meters = FromPackable(packed.at(kTravelled, at));
@@ -170,24 +176,27 @@ class PoseGraph {
       node.travelled_meters = record.travelled_meters;
       if (has_stamp_[at]) node.stamp_ns = record.stamp_ns;
     }
-    node.pose = blocks_[block].pose(at);
-    node.covariance = blocks_[block].covariance(at);
+    const NodeBlock& nodes = this->block(block);
+    node.pose = nodes.pose(at);
+    node.covariance = nodes.covariance(at);
     return node;
   }
   Pose pose(NodeIndex i) const {
-    return blocks_[Position(i) / NodeBlock::kSize].pose(Position(i) %
-                                                        NodeBlock::kSize);
+    return block(Position(i) / NodeBlock::kSize)
+        .pose(Position(i) % NodeBlock::kSize);
   }
   Covariance covariance(NodeIndex i) const {
-    return blocks_[Position(i) / NodeBlock::kSize].covariance(Position(i) %
-                                                              NodeBlock::kSize);
+    return block(Position(i) / NodeBlock::kSize)
+        .covariance(Position(i) % NodeBlock::kSize);
   }
   // Distance between two nodes along the path.
   double MetersApart(NodeIndex i, NodeIndex j) const {
     return std::abs(TravelledMeters(i) - TravelledMeters(j));
   }
   // Block k holds the nodes from k * NodeBlock::kSize on.
-  const NodeBlock& block(std::size_t k) const { return blocks_[k]; }
+  const NodeBlock& block(std::size_t k) const {
+    return k < full_.size() ? full_[k]->nodes : last_;
+  }
 
   // The error transition from node i - 1 to node i; the identity for node 0 and
   // where none was given.
@@ -196,10 +205,10 @@ class PoseGraph {
     if (!has_transitions_) return transition;
     const std::size_t block = Position(i) / NodeBlock::kSize;
     const std::size_t at = Position(i) % NodeBlock::kSize;
-    if (block >= packed_.size()) return transitions_[at];
+    if (block >= full_.size()) return transitions_[at];
+    const PackedColumns& packed = full_[block]->packed;
     for (std::size_t k = 0; k < transition.values.size(); ++k) {
-      transition.values[k] =
-          FromPackable(packed_[block].at(kTransition + k, at));
+      transition.values[k] = FromPackable(packed.at(kTransition + k, at));
     }
     return transition;
   }
@@ -247,7 +256,7 @@ class PoseGraph {
   // ---- The nodes as bytes. Loop-closure edges are not among them.
 
   // Blocks [0, full_blocks()) never change again.
-  std::size_t full_blocks() const { return packed_.size(); }
+  std::size_t full_blocks() const { return full_.size(); }
   // REQUIRES: first <= end <= full_blocks().
   void SaveBlocks(std::size_t first, std::size_t end, ByteWriter* writer) const;
   // The nodes from block `first` on. REQUIRES: first <= full_blocks().
@@ -280,20 +289,28 @@ class PoseGraph {
     kTransition,
   };
 
+  // A block to which no node will be added.
+  struct FullBlock {
+    NodeBlock nodes;
+    PackedColumns packed;
+  };
+
   static std::size_t Position(NodeIndex i) {
     return static_cast<std::size_t>(i);
   }
   double TravelledMeters(NodeIndex i) const {
     const std::size_t block = Position(i) / NodeBlock::kSize;
     const std::size_t at = Position(i) % NodeBlock::kSize;
-    return block < packed_.size()
-               ? FromPackable(packed_[block].at(kTravelled, at))
+    return block < full_.size()
+               ? FromPackable(full_[block]->packed.at(kTravelled, at))
                : records_[at].travelled_meters;
   }
   // Number of nodes for which memory is allocated at a time: whole groups.
   std::size_t NodesAtATime() const;
-  // Packs the records, once the last block is full.
+  // Packs the records of the last block, once it is full, and puts it to the
+  // full ones.
   void Pack();
+  void AddFullBlock(NodeBlock nodes, PackedColumns packed);
   static std::size_t PackedColumnCount(bool transitions) {
     return kTransition + (transitions ? ErrorTransition{}.values.size() : 0);
   }
@@ -306,10 +323,11 @@ class PoseGraph {
 
   NodeIndex size_ = 0;
   bool has_transitions_ = false;
-  std::vector<NodeBlock> blocks_;
-  std::vector<PackedColumns> packed_;
+  std::vector<std::shared_ptr<const FullBlock>> full_;
   // Memory of the full blocks.
   std::size_t full_bytes_ = 0;
+  // The nodes behind the full blocks.
+  NodeBlock last_;
   std::vector<Record> records_;
   std::bitset<NodeBlock::kSize> has_stamp_;
   std::vector<ErrorTransition> transitions_;

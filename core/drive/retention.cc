@@ -9,6 +9,7 @@
 #include <unordered_map>
 #include <utility>
 
+#include "core/drive/node_noise.h"
 #include "core/drive/stamps.h"
 #include "core/geometry/heading.h"
 
@@ -34,6 +35,7 @@ class Coverage {
   Coverage(const PoseGraph& graph, const RetentionNeeds& needs, int passes)
       : graph_(graph),
         needs_(needs),
+        noise_(needs.correlation.noise()),
         passes_(passes),
         stride_(std::max<NodeIndex>(
             1, static_cast<NodeIndex>(kComparedMeters / needs.spacing_meters))),
@@ -118,11 +120,7 @@ class Coverage {
   // False where the node's own covariance is too large for any place, so that
   // there is no use in comparing it: G is then at least as large.
   bool MayBeSure(NodeIndex i) const {
-    const CorrelationModel model = needs_.correlation.model;
-    if (model != CorrelationModel::kIndependent &&
-        model != CorrelationModel::kFilter) {
-      return true;
-    }
+    if (noise_.has_closed_form() && !noise_.exceeds_either) return true;
     const Covariance covariance = graph_.covariance(i);
     const double z =
         needs_.state_space == StateSpace::kPlanar ? 0.0 : covariance(2, 2);
@@ -134,7 +132,7 @@ class Coverage {
   // which bounds it.
   template <int D>
   StateVector<D> Variances(NodeIndex i, NodeIndex j) const {
-    if (needs_.correlation.model != CorrelationModel::kFilter) {
+    if (noise_.has_closed_form()) {
       const StateVector<D> variances =
           DifferenceCovariance<D>(graph_, needs_.correlation, i, j).diagonal();
       if (variances.minCoeff() >= 0.0) return variances;
@@ -159,6 +157,7 @@ class Coverage {
 
   const PoseGraph& graph_;
   const RetentionNeeds& needs_;
+  const NoiseModel& noise_;
   const int passes_;
   const NodeIndex stride_;
   const double half_step_;

@@ -28,36 +28,16 @@
 #include <optional>
 #include <vector>
 
-#include "core/drive/correlation.h"
 #include "core/drive/node_range.h"
 #include "core/drive/pose_graph.h"
 #include "core/geometry/pose.h"
+#include "core/noise/noise_model.h"
+#include "core/settings.h"
 
 namespace revisit::core {
 
 // Passes of one place lie so far apart at most.
 inline constexpr double kPassRadiusMeters = 10.0;
-
-// The most passes of a place that one can ask to keep.
-inline constexpr int kMostPasses = 20;
-
-// Least and greatest age that one can ask to keep: a second, and 100 years of
-// 365 days.
-inline constexpr std::int64_t kLeastAgeNanoseconds = 1'000'000'000;
-inline constexpr std::int64_t kMostAgeNanoseconds =
-    std::int64_t{100} * 365 * 24 * 3600 * 1'000'000'000;
-
-struct RetentionOptions {
-  // The greatest age (stamps.h). A node without a stamp has no age.
-  std::optional<std::int64_t> max_age_ns;
-  // Passes of each place in each direction that are kept; 0: all. At most
-  // kMostPasses.
-  int max_passes = 0;
-};
-
-inline bool operator==(const RetentionOptions& a, const RetentionOptions& b) {
-  return a.max_age_ns == b.max_age_ns && a.max_passes == b.max_passes;
-}
 
 // The needs of searches, by which nodes stay.
 struct RetentionNeeds {
@@ -124,9 +104,9 @@ class DroppableSearch {
   const std::unique_ptr<Impl> impl_;
 };
 
-// Sequences of the poses that no node outside of the range comes from, first
-// and last: none if last < first. REQUIRES: a range of the graph, not empty,
-// that does not reach its end.
+// The first and the last sequence number of the poses from which no node
+// outside of a range comes; there are none if last < first. REQUIRES: a range
+// of the graph, not empty, that does not reach its end.
 struct SequenceRange {
   std::uint64_t first = 0;
   std::uint64_t last = 0;

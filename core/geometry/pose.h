@@ -16,13 +16,9 @@
 #include <optional>
 #include <string>
 
+#include "core/geometry/state_space.h"
+
 namespace revisit::core {
-
-enum class StateSpace { kPlanar, kSpatial };
-
-constexpr int DegreesOfFreedom(StateSpace space) {
-  return space == StateSpace::kPlanar ? 3 : 4;
-}
 
 struct Pose {
   double x = 0.0;

@@ -11,11 +11,15 @@
 #include <cstddef>
 #include <cstdint>
 #include <optional>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/drive/drive.h"
-#include "core/search/alignment/scored_ends.h"
+#include "core/drive/node_range.h"
+#include "core/search/alignment/history.h"
+#include "core/search/alignment/query.h"
+#include "core/search/alignment/relative.h"
 #include "core/search/alignment/viterbi.h"
 #include "core/search/belief/drive_belief.h"
 #include "core/search/belief/mark.h"
@@ -92,11 +96,13 @@ class Search {
   // query.
   std::int64_t AlignedNodes(NodeIndex query, std::int64_t sequence_nodes,
                             const SearchOptions& options) const;
-  // A search of this extent, but for its model, what is not sought, and what is
-  // known before it. The arguments must outlive it.
-  SearchTask TaskOf(NodeIndex query, const Extent& extent,
-                    const SearchOptions& options,
-                    const ShouldStop& should_stop) const;
+  Query QueryAt(NodeIndex node, const Extent& extent) const;
+  // What the drive's own past has for such a query.
+  History PastOf(const Extent& extent, std::vector<NodeRange> not_sought) const;
+  // Searches the marks that are not known. Returns CANCELLED if told to stop.
+  absl::StatusOr<SearchPrior> PriorAt(NodeIndex query,
+                                      const SearchOptions& options,
+                                      const ShouldStop& should_stop);
   MarksBefore FindMarksBefore(NodeIndex query) const;
   // What the drive has shown before the query. Searches the marks that are not
   // known. Returns CANCELLED if told to stop.
@@ -104,17 +110,17 @@ class Search {
                                        const ShouldStop& should_stop);
   // Whether a mark shows the drift at the query.
   bool ShowsDrift(const MarkEvidence& mark, NodeIndex query) const;
-  // The evidence of a mark at this node.
+  // The evidence of a mark at this node. `parts`: see SearchTask.
   absl::StatusOr<MarkEvidence> EvidenceAt(
       NodeIndex node, const ShouldStop& should_stop,
-      AlignmentParts* parts = nullptr) const;
+      std::vector<AlignmentParts>* parts = nullptr) const;
   MarkLine Marks() const;
   // Whether a search with these options aligns the path that a mark there does.
   bool AlignsAsMarks(const SearchOptions& options) const;
   // Searches the mark at the query, if there is one that is not known. The
   // parts are those of a search there.
   void RememberIfMark(NodeIndex query, const ShouldStop& should_stop,
-                      AlignmentParts* parts);
+                      std::vector<AlignmentParts>* parts);
 
   const Drive& drive_;
   MarkMemory marks_;

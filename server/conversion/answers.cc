@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <string>
 
-#include "core/search/belief/begins_with_belief.h"
+#include "core/settings.h"
 #include "server/conversion/findings.h"
 #include "server/conversion/names.h"
 #include "server/conversion/vehicle_labels.h"

@@ -75,8 +75,8 @@ absl::Status SettingFixed(const char* setting,
 absl::Status CheckFixedSettings(const VehicleConfig& current,
                                 const VehicleConfig& updated) {
   const auto filter = [](const VehicleConfig& config) {
-    return config.drive.search.correlation_model ==
-           core::CorrelationModel::kFilter;
+    return core::NoiseOf(config.drive.search.correlation_model)
+        .carries_transitions;
   };
   if (updated.drive.state_space != current.drive.state_space) {
     return SettingFixed("state_space");

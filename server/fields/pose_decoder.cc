@@ -182,8 +182,8 @@ void PoseDecoder::DecodeTransition(const PoseFields& pose,
                                    core::PoseSample* sample) {
   const int given = pose.error_transition->size();
   const FieldPath field = path.Field("error_transition");
-  if (config_.drive.search.correlation_model !=
-      core::CorrelationModel::kFilter) {
+  if (!core::NoiseOf(config_.drive.search.correlation_model)
+           .carries_transitions) {
     if (given != 0) {
       Refuse(field,
              absl::StrCat(

@@ -51,9 +51,8 @@ absl::StatusOr<DecodedBatch> DecodeDropped(const stored::PoseBatch& stored,
                   stretch.last_sequence >= stretch.first_sequence &&
                   stretch.travelled_meters >= 0.0 &&
                   stretch.travelled_meters <= kMostDroppedMeters;
-  const bool is_filter =
-      config.drive.search.correlation_model == core::CorrelationModel::kFilter;
-  if (is_filter) {
+  if (core::NoiseOf(config.drive.search.correlation_model)
+          .carries_transitions) {
     auto& values = stretch.transition.emplace().values;
     is_sound = is_sound &&
                given.error_transition_size() == static_cast<int>(values.size());

@@ -1,6 +1,8 @@
 // Copies of graphs that are being exported, each shared by all exports of the
 // same vehicle at the same revision: so that a slow reader holds up nobody and
-// still gets one revision, and many readers take the memory of one.
+// still gets one revision, and many readers take the memory of one. A copy
+// shares its blocks with the drive, but keeps them when the drive goes: so room
+// is asked for all of it.
 #ifndef REVISIT_SERVER_SERVICE_EXPORTED_GRAPHS_H_
 #define REVISIT_SERVER_SERVICE_EXPORTED_GRAPHS_H_
 

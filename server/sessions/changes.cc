@@ -27,6 +27,12 @@ std::function<void(const absl::Status&)> Answering(
   };
 }
 
+// Whether other nodes are to be kept, so that all have to be looked at again.
+bool KeepsOthers(const core::DriveSettings& before,
+                 const core::DriveSettings& after) {
+  return (core::RemadeBetween(before, after) & core::kRemadeKept) != 0;
+}
+
 }  // namespace
 
 using absl::StatusCode;
@@ -75,23 +81,24 @@ Changes::StorageWrite Changes::WriteOf(const VehicleConfig& config) const {
   };
 }
 
-void Changes::Apply(const VehicleConfig& config, std::uint64_t revision) {
+absl::Status Changes::Apply(const VehicleConfig& config,
+                            std::uint64_t revision) {
+  const bool keeps_others =
+      KeepsOthers(vehicle_->head.config().drive, config.drive);
+  absl::Status changed;
   vehicle_->loaded.Change([&](core::Drive* drive) {
-    drive->ChangeSettings(config.drive, revision);
+    changed = drive->ChangeSettings(config.drive, revision);
   });
+  if (!changed.ok()) return changed;
   vehicle_->head.Adopt(config, revision);
+  if (keeps_others) vehicle_->loaded.LookAtOnce();
+  return absl::OkStatus();
 }
 
 void Changes::ChangeConfig(const VehicleConfig& config, Then then) {
   const auto change = [this, config, next = vehicle_->head.revision() + 1,
                        then = std::move(then)](const absl::Status& status) {
-    if (status.ok()) {
-      const bool keeps_others =
-          !(config.drive.retention == vehicle_->head.config().drive.retention);
-      Apply(config, next);
-      if (keeps_others) vehicle_->loaded.LookAtOnce();
-    }
-    then(status);
+    then(status.ok() ? Apply(config, next) : status);
   };
   if (vehicle_->loaded->graph().size() < kManyNodes &&
       vehicle_->pairs.loop_closures().size() < kManyClosures) {
@@ -212,11 +219,8 @@ void Changes::DropDamaged(const VehicleConfig& config, Then then) {
             vehicle_->codec->EncodeVehicle(config), next, std::move(done));
       },
       [this, config, next, then = std::move(then)](const absl::Status& status) {
-        if (status.ok()) {
-          vehicle_->head.AcceptDamage();
-          Apply(config, next);
-        }
-        then(status);
+        if (status.ok()) vehicle_->head.AcceptDamage();
+        then(status.ok() ? Apply(config, next) : status);
       });
 }
 
@@ -236,7 +240,7 @@ void Changes::Update(const ConfigChange& change, const ViewCallback& callback) {
     return;
   }
   const bool keeps_others =
-      !(config->drive.retention == vehicle_->head.config().drive.retention);
+      KeepsOthers(vehicle_->head.config().drive, config->drive);
   Write(WriteOf(*config), [this, config = *config,
                            next = vehicle_->head.revision() + 1, keeps_others,
                            answer](const absl::Status& status) {

@@ -112,8 +112,8 @@ class Changes {
   void Confirm(Then then);
   // The write of a config, which has to outlive it.
   StorageWrite WriteOf(const VehicleConfig& config) const;
-  // Applies a config that is stored and moves no nodes.
-  void Apply(const VehicleConfig& config, std::uint64_t revision);
+  // Gives the vehicle in memory a config that was stored and moves no nodes.
+  absl::Status Apply(const VehicleConfig& config, std::uint64_t revision);
   // Stores and applies a config that moves no nodes.
   void ChangeConfig(const VehicleConfig& config, Then then);
   // Removes from the store what is damaged: the vehicle in memory stays.

@@ -401,8 +401,8 @@ absl::Status Replayer::FinishGraph() {
     vehicle_->head.NoteDamage(status);
     replay_->revision = replay_->steps + 1;
   }
-  replay_->drive->ChangeSettings(replay_->config.drive, replay_->revision);
-  return absl::OkStatus();
+  return replay_->drive->ChangeSettings(replay_->config.drive,
+                                        replay_->revision);
 }
 
 // The poses from the next one on cannot be read. Each of them may have brought

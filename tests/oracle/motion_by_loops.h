@@ -7,7 +7,7 @@
 #include <cmath>
 #include <cstdint>
 
-#include "core/drive/correlation.h"
+#include "core/drive/node_noise.h"
 #include "core/drive/pose_graph.h"
 #include "tests/oracle/wide_state.h"
 

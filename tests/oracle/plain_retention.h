@@ -12,6 +12,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/drive/node_noise.h"
 #include "core/drive/retention.h"
 #include "core/geometry/heading.h"
 

@@ -1,5 +1,5 @@
 // States, covariances and cross-covariances in long double, spelled out from
-// the definitions of pose.h and correlation.h and not taken from their code.
+// the definitions of pose.h and core/noise and not taken from their code.
 #ifndef REVISIT_TESTS_ORACLE_WIDE_STATE_H_
 #define REVISIT_TESTS_ORACLE_WIDE_STATE_H_
 
@@ -10,7 +10,7 @@
 #include <cmath>
 #include <optional>
 
-#include "core/drive/correlation.h"
+#include "core/drive/node_noise.h"
 #include "core/drive/pose_graph.h"
 #include "core/geometry/pose.h"
 #include "core/search/alignment/confirmed_loop.h"

@@ -17,7 +17,9 @@
 
 #include "core/drive/pose_graph.h"
 #include "core/search/alignment/differences.h"
+#include "core/search/alignment/history.h"
 #include "core/search/alignment/log_similarity.h"
+#include "core/search/alignment/query.h"
 #include "core/search/alignment/relative_model.h"
 #include "core/search/alignment/search_bounds.h"
 #include "core/search/alignment/similarity_kernel.h"
@@ -27,18 +29,19 @@ namespace revisit::core {
 template <int D>
 class Anchors {
  public:
-  // The graph and the model must outlive this.
-  Anchors(const PoseGraph& graph, const RelativeModel& model, NodeIndex query,
-          Direction direction);
+  // All must outlive this.
+  Anchors(const Query& query, const History& history,
+          const RelativeModel& model, Direction direction);
 
   // Compares the query with the first `count` nodes of block k; what else is
   // told concerns these. `next` is the block that will be asked for after it.
-  // REQUIRES: for kFilter, k falls from call to call.
+  // REQUIRES: where the noise model has no closed form, k falls from call to
+  // call.
   void Find(std::size_t k, std::size_t count, std::size_t next);
 
   // The same for nodes from anywhere, copied to a block of their own: those of
   // blocks that the same drifts reach into as into the one that begins at node
-  // `first`. REQUIRES: kDeadReckoning.
+  // `first`. REQUIRES: NoiseModel::neighbours_err_alike.
   void FindAmong(const NodeBlock& nodes, const BlockColumn& indices,
                  std::size_t count, NodeIndex first);
 
@@ -80,9 +83,9 @@ class Anchors {
 
  private:
   struct Part {
-    Part(const PoseGraph& graph, const SimilarityModel& model,
-         const std::optional<ConfirmedLoop>& loop, NodeIndex query)
-        : finder(graph, model, loop, query) {}
+    Part(const Query& query, const History& history,
+         const SimilarityModel& model, const std::optional<ConfirmedLoop>& loop)
+        : finder(query, history, model, loop) {}
 
     Differences<D> finder;
     double scale = 1.0;
@@ -98,8 +101,8 @@ class Anchors {
     BlockColumn unshifted;
   };
 
-  void AddParts(const PoseGraph& graph, const SimilarityModel& similarity,
-                const WeighedScale& scale, NodeIndex query);
+  void AddParts(const Query& query, const History& history,
+                const SimilarityModel& similarity, const WeighedScale& scale);
   void Weigh(NodeIndex first);
 
   const RelativeModel& model_;

@@ -3,7 +3,10 @@
 #include <cassert>
 #include <cmath>
 
+#include "core/drive/node_noise.h"
 #include "core/geometry/heading.h"
+#include "core/noise/covariances.h"
+#include "core/noise/dead_reckoning.h"
 
 namespace revisit::core {
 namespace {
@@ -52,26 +55,18 @@ Innovation<D> InnovationOf(const PoseGraph& graph,
   Innovation<D> innovation;
   innovation.difference =
       ToVector<D>(Difference(measured.query.pose, carried.pose));
-  switch (correlation.model) {
-    case CorrelationModel::kDeadReckoning:
-      innovation.gamma = DeadReckoningDifferenceCovariance<D>(
-          carried.pose, measured.query.pose, ToMatrix<D>(carried.covariance),
-          ToMatrix<D>(measured.query.covariance));
-      return innovation;
-    case CorrelationModel::kIndependent:
-      innovation.gamma = ToMatrix<D>(measured.query.covariance) +
-                         ToMatrix<D>(carried.covariance);
-      return innovation;
-    case CorrelationModel::kCorrelatedFixes:
-      innovation.gamma =
-          UncorrelatedShare(measured.query.covariance, carried.covariance,
-                            graph.MetersApart(loop.query, loop.matched),
-                            correlation) *
-          (ToMatrix<D>(measured.query.covariance) +
-           ToMatrix<D>(carried.covariance));
-      return innovation;
-    case CorrelationModel::kFilter:
-      break;
+  const NoiseModel& noise = correlation.noise();
+  if (noise.has_closed_form()) {
+    PathPair<D> pair;
+    pair.earlier_pose = carried.pose;
+    pair.later_pose = measured.query.pose;
+    pair.earlier = ToMatrix<D>(carried.covariance);
+    pair.later = ToMatrix<D>(measured.query.covariance);
+    if (noise.decorrelates_over_way) {
+      pair.meters_apart = graph.MetersApart(loop.query, loop.matched);
+    }
+    innovation.gamma = DifferenceCovariance<D>(correlation, pair);
+    return innovation;
   }
   const StateMatrix<D> lever =
       DeadReckoningTransition<D>(measured.matched.pose, carried.pose);

@@ -22,9 +22,9 @@
 
 #include <memory>
 
-#include "core/drive/correlation.h"
 #include "core/drive/pose_graph.h"
 #include "core/geometry/pose.h"
+#include "core/noise/noise_model.h"
 #include "core/search/alignment/log_similarity.h"
 
 namespace revisit::core {
@@ -77,10 +77,10 @@ struct Innovation {
   StateMatrix<D> gamma;
 };
 
-// Covariances are those of the poses, but for kFilter, whose transitions lead
-// from node to node, those of the nodes. O(1), but O(nodes between the two) for
-// kFilter. REQUIRES: the loop was measured; the matched node is not after the
-// query's.
+// Covariances are those of the poses; where Gamma has no closed form, whose
+// transitions lead from node to node, those of the nodes. O(1), there O(nodes
+// between the two). REQUIRES: the loop was measured; the matched node is not
+// after the query's.
 template <int D>
 Innovation<D> InnovationOf(const PoseGraph& graph,
                            const Correlation& correlation,

@@ -1,5 +1,6 @@
-// The differences of the query and the history under any correlation model,
-// block by block: what the similarity kernel evaluates.
+// The differences of the query and the history under any correlation model, as
+// their relation has them (relation.h), block by block: what the similarity
+// kernel evaluates.
 #ifndef REVISIT_CORE_SEARCH_ALIGNMENT_DIFFERENCES_H_
 #define REVISIT_CORE_SEARCH_ALIGNMENT_DIFFERENCES_H_
 
@@ -8,8 +9,11 @@
 
 #include "core/drive/pose_graph.h"
 #include "core/geometry/pose.h"
+#include "core/noise/filter.h"
+#include "core/search/alignment/history.h"
 #include "core/search/alignment/known_drift.h"
 #include "core/search/alignment/log_similarity.h"
+#include "core/search/alignment/query.h"
 #include "core/search/alignment/similarity_kernel.h"
 
 namespace revisit::core {
@@ -18,21 +22,22 @@ template <int D>
 class Differences {
  public:
   // `last_confirmed`: the loop closure that has shown the drift, or nothing.
-  // REQUIRES: the graph outlives this and does not change; last_confirmed for
-  // kDeadReckoning only.
-  Differences(const PoseGraph& graph, const SimilarityModel& model,
-              const std::optional<ConfirmedLoop>& last_confirmed,
-              NodeIndex query);
+  // REQUIRES: all outlive this, and their graphs do not change; last_confirmed
+  // where NoiseModel::closures_show_drift only.
+  Differences(const Query& query, const History& history,
+              const SimilarityModel& model,
+              const std::optional<ConfirmedLoop>& last_confirmed);
 
   // Finds the differences of the first `count` nodes of block k; those of the
   // other entries are 0. `next` is the block that will be asked for after it,
-  // which is fetched on the way. REQUIRES: for kFilter, k falls from call to
-  // call.
+  // which is fetched on the way. REQUIRES: where the noise model has no closed
+  // form, k falls from call to call.
   void Find(std::size_t k, std::size_t count, std::size_t next,
             DifferenceBlock* differences);
 
-  // Finds the differences of nodes from anywhere in the graph, the first
-  // `count` of a block that they were copied to. REQUIRES: kDeadReckoning.
+  // Finds the differences of nodes from anywhere in the history, the first
+  // `count` of a block that they were copied to. REQUIRES:
+  // NoiseModel::neighbours_err_alike.
   void FindAmong(const NodeBlock& nodes, const BlockColumn& indices,
                  std::size_t count, DifferenceBlock* differences);
 
@@ -41,16 +46,16 @@ class Differences {
                     DifferenceBlock* differences);
   void CarryBackTo(NodeIndex j);
 
-  const PoseGraph& graph_;
-  const NodeIndex query_;
+  const Query& query_;
+  const History& history_;
   const SimilarityModel model_;
-  // For all but kFilter.
+  const bool has_closed_form_;
+  // Where it has one.
   KernelQuery kernel_query_;
   std::optional<KnownDriftTerms> known_drift_;
-  // For kFilter: Psi(query, next_).
-  StateMatrix<D> psi_;
+  // Where it has none: Psi(query, next_).
+  BackwardTransition<D> back_;
   NodeIndex next_;
-  bool decorrelated_ = false;
 };
 
 }  // namespace revisit::core

@@ -20,6 +20,7 @@
 #include "core/geometry/pose.h"
 #include "core/search/alignment/confirmed_loop.h"
 #include "core/search/alignment/log_similarity.h"
+#include "core/search/alignment/query.h"
 #include "core/search/alignment/similarity_kernel.h"
 
 namespace revisit::core {
@@ -37,7 +38,7 @@ struct LoopEnd {
   StateMatrix<D> covariance;
 };
 
-// The drift between one query node and any other node.
+// The drift between the query and any other node of the asking drive.
 template <int D>
 class KnownDrift {
  public:
@@ -48,12 +49,12 @@ class KnownDrift {
   // is not positive definite, and the formulas above do not hold. Where that is
   // so for the covariance of a measurement only, the closure counts as if
   // nothing had been measured.
-  // REQUIRES: kDeadReckoning, where S is O(1). The errors of other models have
-  // (nearly) decorrelated from the closure's by the time it could be used.
-  static std::optional<KnownDrift> Make(const PoseGraph& graph,
+  // REQUIRES: NoiseModel::closures_show_drift: S is that of dead reckoning, in
+  // O(1). The errors of other models have (nearly) decorrelated from the
+  // closure's by the time it could be used.
+  static std::optional<KnownDrift> Make(const Query& query,
                                         const SimilarityModel& model,
-                                        const ConfirmedLoop& loop,
-                                        NodeIndex query);
+                                        const ConfirmedLoop& loop);
 
   // The known drift in the form that the kernel takes.
   KnownDriftTerms Terms() const;
@@ -81,10 +82,9 @@ class KnownDrift {
                             const ConfirmedLoop& loop);
   static bool GrowsForward(const Closure& closure, const LoopEnd<D>& a,
                            const LoopEnd<D>& b);
-  static std::optional<KnownDrift> Make(const PoseGraph& graph,
+  static std::optional<KnownDrift> Make(const Query& query,
                                         const SimilarityModel& model,
-                                        const Closure& closure,
-                                        NodeIndex query);
+                                        const Closure& closure);
 
   KnownDrift(const PoseGraph& graph, const Closure& closure,
              double variance_scale)

@@ -113,7 +113,8 @@ double LogSimilarity(const PoseGraph& graph, const SimilarityModel& model,
 
 KernelQuery MakeKernelQuery(const PoseGraph& graph,
                             const SimilarityModel& model, NodeIndex query) {
-  assert(model.correlation.model != CorrelationModel::kFilter);
+  const NoiseModel& noise = model.correlation.noise();
+  assert(noise.has_closed_form());
   const Node node = graph.node(query);
   const double position = model.tolerance.position_meters;
   const double heading = model.tolerance.heading_radians;
@@ -121,8 +122,7 @@ KernelQuery MakeKernelQuery(const PoseGraph& graph,
   kernel_query.pose = node.pose;
   kernel_query.covariance = node.covariance;
   kernel_query.state_space = model.state_space;
-  kernel_query.dead_reckoning =
-      model.correlation.model == CorrelationModel::kDeadReckoning;
+  kernel_query.form = noise.form;
   kernel_query.opposite = model.direction == Direction::kOpposite;
   kernel_query.variance_scale = model.inflation * model.inflation;
   kernel_query.position_variance = position * position;
@@ -137,7 +137,7 @@ void LogSimilarityColumn(const PoseGraph& graph, const SimilarityModel& model,
   assert(count <= query);
   column->resize(static_cast<std::size_t>(count));
   double* const out = column->data();
-  if (model.correlation.model != CorrelationModel::kFilter) {
+  if (model.correlation.noise().has_closed_form()) {
     VisitBlockSimilarities(
         graph, model, query, count,
         [out, count](NodeIndex first, const BlockSimilarity& part) {

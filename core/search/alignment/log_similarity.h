@@ -14,34 +14,14 @@
 #include <optional>
 #include <vector>
 
-#include "core/drive/correlation.h"
+#include "core/drive/node_noise.h"
 #include "core/drive/pose_graph.h"
 #include "core/geometry/pose.h"
+#include "core/noise/comparison.h"
+#include "core/noise/noise_model.h"
 #include "core/search/alignment/similarity_kernel.h"
 
 namespace revisit::core {
-
-enum class LikelihoodForm { kGaussian, kAsPrinted };
-
-// The direction in which the history was driven, against the recent path.
-enum class Direction { kSame, kOpposite };
-
-// Index of a direction in arrays of two.
-constexpr std::size_t IndexOf(Direction direction) {
-  return direction == Direction::kSame ? 0 : 1;
-}
-
-// How far apart two passes of one place may truly be: standard deviations,
-// whose squares are added to the diagonal of Gamma (R).
-struct PlaceTolerance {
-  double position_meters = 2.0;
-  double heading_radians = 0.1;
-
-  bool operator==(const PlaceTolerance& other) const {
-    return position_meters == other.position_meters &&
-           heading_radians == other.heading_radians;
-  }
-};
 
 // Adds R to gamma.
 template <int D>
@@ -91,25 +71,27 @@ template <int D>
 std::optional<QuadraticForm> Evaluate(const StateMatrix<D>& gamma,
                                       const StateVector<D>& d);
 
-// lambda(i,j) of two nodes in any order; kImpossible if ill-conditioned. O(1),
-// but O(|i - j|) for kFilter.
+// lambda(i,j) of two nodes in any order; kImpossible if ill-conditioned. O(1)
+// where the noise model has a closed form, else O(|i - j|).
 double LogSimilarity(const PoseGraph& graph, const SimilarityModel& model,
                      NodeIndex i, NodeIndex j);
 
 // lambda(query, i) for all i in [0, count): a column of the trellis. O(count)
-// in every correlation model. For all but kFilter the kernel computes it
+// in every noise model. Where it has a closed form, the kernel computes it
 // (similarity_kernel.h). REQUIRES: count <= query.
 void LogSimilarityColumn(const PoseGraph& graph, const SimilarityModel& model,
                          NodeIndex query, NodeIndex count,
                          std::vector<double>* column);
 
-// A query node as the kernel takes it. REQUIRES: the model is not kFilter.
+// A query node as the kernel takes it. REQUIRES: the noise model has a
+// closed form.
 KernelQuery MakeKernelQuery(const PoseGraph& graph,
                             const SimilarityModel& model, NodeIndex query);
 
 // Calls visit(first, part) for the nodes of [0, count) block by block. Entry k
 // of a part is the similarity of node first + k; entries from node `count` on
-// are undefined. REQUIRES: count <= query; the model is not kFilter.
+// are undefined. REQUIRES: count <= query; the noise model has a
+// closed form.
 template <typename Visit>
 void VisitBlockSimilarities(const PoseGraph& graph,
                             const SimilarityModel& model, NodeIndex query,

@@ -7,8 +7,7 @@
 #include <optional>
 #include <vector>
 
-#include "core/drive/block_bounds.h"
-#include "core/drive/motion_history.h"
+#include "core/drive/node_range.h"
 #include "core/search/alignment/confirmed_loop.h"
 #include "core/search/alignment/log_similarity.h"
 #include "core/search/alignment/scored_ends.h"
@@ -53,8 +52,8 @@ struct RelativeModel {
   SimilarityModel similarity;
   // The anchor is a mixture: of these scales, none being 1 alone, and of the
   // drift as claimed, with the weight that these drifts leave, and as each of
-  // them shows it. kDeadReckoning only. Weights of scales sum to 1, those of
-  // drifts to less than 1.
+  // them shows it; none unless NoiseModel::lets_belief_begin. Weights of scales
+  // sum to 1, those of drifts to less than 1.
   std::vector<WeighedScale> scales;
   std::vector<WeighedDrift> drifts;
   ShapeModel shape;
@@ -62,15 +61,14 @@ struct RelativeModel {
   double road_spacing_meters = 200.0;
   bool same_direction = true;
   bool opposite_direction = false;
-  // The loop closure that has shown the drift. kDeadReckoning only; both nodes
+  // The loop closure that has shown the drift; none unless
+  // NoiseModel::closures_show_drift. Both nodes
   // at or before the query.
   std::optional<ConfirmedLoop> last_confirmed;
   // Whether paths are walked over confirmed loop closures.
   bool over_loops = true;
   // Whether ends tell their odds under each scale (RelativeAlignment).
   bool tell_scales = false;
-  // Ranges whose nodes may not be ends. May overlap.
-  std::vector<NodeRange> not_sought;
   // Ends are left out whose odds are below this share (given as its logarithm)
   // of the greatest odds, or of a new place's odds of 1 if these are more.
   // Above -infinity, the search skips such ends where it can rule them out
@@ -78,13 +76,9 @@ struct RelativeModel {
   // path that cannot make up for these.
   double least_log_share = kImpossible;
   // Ends whose log-odds are surely less than this are sampled (relative.h).
-  // kImpossible where each is looked at. kDeadReckoning only; takes the indexes
-  // below.
+  // kImpossible where each is looked at, as where neighbours do not err alike
+  // (NoiseModel). Takes the history's indexes.
   double most_log_odds_sampled = kImpossible;
-  // Indexes of the graph, or null. The first saves measuring the graph's motion
-  // anew, the second saves looking at every node.
-  const MotionHistory* motion_history = nullptr;
-  const BlockBounds* block_bounds = nullptr;
 };
 
 // The term that turns a log-similarity in Gaussian form into log-odds against a

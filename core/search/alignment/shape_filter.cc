@@ -145,13 +145,6 @@ double ShapeWeight(const ShapeModel& model, double spacing_meters) {
   return std::min(1.0, spacing_meters / model.correlation_meters);
 }
 
-NodeIndex StretchNodes(const ShapeModel& model, double spacing_meters,
-                       std::int64_t steps) {
-  return std::max<NodeIndex>(
-      1, std::min<NodeIndex>(steps - 1, std::llround(model.correlation_meters /
-                                                     spacing_meters)));
-}
-
 template <int D>
 ShapeFilter<D>::ShapeFilter(const PoseGraph& graph,
                             const MotionHistory* history, NodeIndex query,
@@ -169,7 +162,7 @@ ShapeFilter<D>::ShapeFilter(const PoseGraph& graph,
   StateMatrix<D> noise = claimed * motion.drift;
   const StateMatrix<D> jitter = claimed * motion.jitter;
   AddStepNoise<D>(kLeastStepNoise, spacing_meters, &noise);
-  if (correlation.model == CorrelationModel::kDeadReckoning) {
+  if (correlation.noise().has_margin_per_step) {
     noise = AtMost<D>(kMostStepNoise, spacing_meters, noise);
   }
   StateMatrix<D> tolerance = StateMatrix<D>::Zero();

@@ -48,38 +48,26 @@
 #include <cstdint>
 #include <vector>
 
-#include "core/drive/correlation.h"
 #include "core/drive/motion_history.h"
 #include "core/drive/pose_graph.h"
 #include "core/drive/turn_pairs.h"
 #include "core/geometry/heading.h"
 #include "core/geometry/pose.h"
+#include "core/noise/noise_model.h"
 #include "core/search/alignment/log_similarity.h"
 #include "core/search/alignment/walk_kernel.h"
+#include "core/settings.h"
 
 namespace revisit::core {
-
-struct ShapeModel {
-  // Standard deviations by which each node strays, beside the drift: position
-  // [0.01, 1000] m, heading [0.001, 3] rad.
-  PlaceTolerance tolerance{1.0, 0.06};
-  // Distance over which nodes stray together, [0.01, 1e6] m.
-  double correlation_meters = 20.0;
-
-  bool operator==(const ShapeModel& other) const {
-    return tolerance == other.tolerance &&
-           correlation_meters == other.correlation_meters;
-  }
-};
 
 // Least noise of odometry, whatever the covariances claim: the covariances of
 // an optimiser, or constant ones, say nothing about a single step. Standard
 // deviations of both passes together, per square root of a metre.
 inline constexpr PlaceTolerance kLeastStepNoise{0.02, 0.0005};
 
-// The most of it for kDeadReckoning, whose covariances have a margin for how
-// the drift of a whole drive adds up: step by step, odometers of road vehicles
-// are better than that.
+// The most of it where covariances have a margin for how the drift of a whole
+// drive adds up (NoiseModel::has_margin_per_step): step by step, odometers of
+// road vehicles are better than that.
 inline constexpr PlaceTolerance kMostStepNoise{0.053, 0.0013};
 
 // Cost of the place at which two roads join, nats: a prior of e^-1.5 for each
@@ -87,12 +75,6 @@ inline constexpr PlaceTolerance kMostStepNoise{0.053, 0.0013};
 // other roads is above 20, where that of an honest ratio is 1
 // (tests/evaluation/RESULTS.md).
 inline constexpr double kJoinCost = 1.5;
-
-// Steps of the stretches whose turns are compared: they are as long as the
-// correlation distance, but no longer than a path of `steps` nodes, so that
-// like is compared with like.
-NodeIndex StretchNodes(const ShapeModel& model, double spacing_meters,
-                       std::int64_t steps);
 
 // The weight w, at most 1.
 double ShapeWeight(const ShapeModel& model, double spacing_meters);

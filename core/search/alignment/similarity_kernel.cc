@@ -102,13 +102,13 @@ HWY_INLINE std::size_t EntriesOf(const NodeBlock& block) {
   return block.groups() * NodeBlock::kGroupSize;
 }
 
-// How two errors depend on each other: the later one carries the earlier one
-// on; not at all; or they share a part, node by node.
-enum class Errors { kDeadReckoning, kIndependent, kShared };
+// How Gamma is made (DifferenceForm), where it is a sum in whole or in a share
+// that differs from node to node.
+enum class Form { kGrown, kSummed, kSharesSummed };
 
 // The differences of the nodes from i on, and their covariances: Gamma,
 // inflated, plus R.
-template <int D, Errors kErrors>
+template <int D, Form kForm>
 HWY_INLINE State<D> FindState(const KernelQuery& query, const Rows& rows,
                               const BlockShares* shares, std::size_t i) {
   const Tag tag;
@@ -118,7 +118,7 @@ HWY_INLINE State<D> FindState(const KernelQuery& query, const Rows& rows,
                         HWY_ATTR { return rows.Load(row, i); };
   const auto load_z = [&rows, i](NodeBlock::Row row)
                           HWY_ATTR { return rows.LoadZ(row, i); };
-  constexpr bool kDeadReckoning = kErrors == Errors::kDeadReckoning;
+  constexpr bool kIsGrown = kForm == Form::kGrown;
   const Vector scale = set(query.variance_scale);
   const Vector position_variance = set(query.position_variance);
   State<D> state;
@@ -134,10 +134,10 @@ HWY_INLINE State<D> FindState(const KernelQuery& query, const Rows& rows,
   // An entry of Gamma without the lever arm.
   const auto base = [&](int r, int c, Vector node) HWY_ATTR {
     const Vector mine = set(query.covariance(r, c));
-    if constexpr (kErrors == Errors::kShared) {
+    if constexpr (kForm == Form::kSharesSummed) {
       return hn::Mul(hn::Load(tag, shares->data() + i), hn::Add(mine, node));
     }
-    return kDeadReckoning ? hn::Sub(mine, node) : hn::Add(mine, node);
+    return kIsGrown ? hn::Sub(mine, node) : hn::Add(mine, node);
   };
   const Vector node_xh = load(NodeBlock::kXH);
   const Vector node_yh = load(NodeBlock::kYH);
@@ -150,7 +150,7 @@ HWY_INLINE State<D> FindState(const KernelQuery& query, const Rows& rows,
   const Vector hh = base(3, 3, node_hh);
   const Vector lever_x = hn::Neg(dy);
   const Vector lever_y = dx;
-  if constexpr (kDeadReckoning) {
+  if constexpr (kIsGrown) {
     const Vector xx_carried = hn::Mul(lever_x, node_xh);
     const Vector yy_carried = hn::Mul(lever_y, node_yh);
     xx = hn::Sub(xx, hn::Add(xx_carried, xx_carried));
@@ -173,7 +173,7 @@ HWY_INLINE State<D> FindState(const KernelQuery& query, const Rows& rows,
     Vector zy = base(1, 2, load_z(NodeBlock::kYZ));
     const Vector zz = base(2, 2, load_z(NodeBlock::kZZ));
     const Vector hz = base(2, 3, node_zh);
-    if constexpr (kDeadReckoning) {
+    if constexpr (kIsGrown) {
       zx = hn::Sub(zx, hn::Mul(lever_x, node_zh));
       zy = hn::Sub(zy, hn::Mul(lever_y, node_zh));
     }
@@ -270,7 +270,7 @@ HWY_INLINE Terms Evaluate(const State<D>& state) {
   return terms;
 }
 
-template <int D, Errors kErrors>
+template <int D, Form kForm>
 HWY_INLINE void EvaluateAll(const KernelQuery& query, const NodeBlock& block,
                             const NodeBlock& next, const BlockShares* shares,
                             BlockSimilarity* similarity) {
@@ -282,7 +282,7 @@ HWY_INLINE void EvaluateAll(const KernelQuery& query, const NodeBlock& block,
   const std::size_t entries = EntriesOf(block);
   for (std::size_t i = 0; i < entries; i += hn::Lanes(tag)) {
     const Terms terms =
-        Evaluate<D>(FindState<D, kErrors>(query, rows, shares, i));
+        Evaluate<D>(FindState<D, kForm>(query, rows, shares, i));
     const Vector value = hn::Sub(hn::Mul(minus_half, terms.log_determinant),
                                  hn::Mul(exponent, terms.squared));
     hn::Store(hn::IfThenElse(terms.possible, value, impossible), tag,
@@ -301,14 +301,12 @@ HWY_INLINE void EvaluateBlockIn(const KernelQuery& query,
                                 const NodeBlock& block, const NodeBlock& next,
                                 const BlockShares* shares,
                                 BlockSimilarity* similarity) {
-  if (query.dead_reckoning) {
-    EvaluateAll<D, Errors::kDeadReckoning>(query, block, next, shares,
-                                           similarity);
+  if (query.form == DifferenceForm::kGrown) {
+    EvaluateAll<D, Form::kGrown>(query, block, next, shares, similarity);
   } else if (shares == nullptr) {
-    EvaluateAll<D, Errors::kIndependent>(query, block, next, shares,
-                                         similarity);
+    EvaluateAll<D, Form::kSummed>(query, block, next, shares, similarity);
   } else {
-    EvaluateAll<D, Errors::kShared>(query, block, next, shares, similarity);
+    EvaluateAll<D, Form::kSharesSummed>(query, block, next, shares, similarity);
   }
 }
 
@@ -356,15 +354,14 @@ HWY_INLINE void StoreState(const State<D>& state, std::size_t i,
   }
 }
 
-template <int D, Errors kErrors>
+template <int D, Form kForm>
 HWY_INLINE void FindAll(const KernelQuery& query, const NodeBlock& block,
                         const NodeBlock& next, const BlockShares* shares,
                         DifferenceBlock* differences) {
   const Rows rows(block, next);
   const std::size_t entries = std::min(EntriesOf(block), differences->count);
   for (std::size_t i = 0; i < entries; i += hn::Lanes(Tag())) {
-    StoreState<D>(FindState<D, kErrors>(query, rows, shares, i), i,
-                  differences);
+    StoreState<D>(FindState<D, kForm>(query, rows, shares, i), i, differences);
   }
 }
 
@@ -373,12 +370,12 @@ HWY_INLINE void FindDifferencesIn(const KernelQuery& query,
                                   const NodeBlock& block, const NodeBlock& next,
                                   const BlockShares* shares,
                                   DifferenceBlock* differences) {
-  if (query.dead_reckoning) {
-    FindAll<D, Errors::kDeadReckoning>(query, block, next, shares, differences);
+  if (query.form == DifferenceForm::kGrown) {
+    FindAll<D, Form::kGrown>(query, block, next, shares, differences);
   } else if (shares == nullptr) {
-    FindAll<D, Errors::kIndependent>(query, block, next, shares, differences);
+    FindAll<D, Form::kSummed>(query, block, next, shares, differences);
   } else {
-    FindAll<D, Errors::kShared>(query, block, next, shares, differences);
+    FindAll<D, Form::kSharesSummed>(query, block, next, shares, differences);
   }
 }
 

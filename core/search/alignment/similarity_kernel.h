@@ -13,9 +13,10 @@
 #include <cstddef>
 #include <cstdint>
 
-#include "core/drive/correlation.h"
+#include "core/drive/node_noise.h"
 #include "core/drive/pose_graph.h"
 #include "core/geometry/pose.h"
+#include "core/noise/noise_model.h"
 
 namespace revisit::core {
 
@@ -25,9 +26,8 @@ struct KernelQuery {
   Pose pose;
   Covariance covariance;
   StateSpace state_space = StateSpace::kPlanar;
-  // Whether errors are those of dead reckoning; else they are independent, but
-  // for the shares that come with a block.
-  bool dead_reckoning = true;
+  // kGrown, or kSummed with the shares 1 - r that come with a block.
+  DifferenceForm form = DifferenceForm::kGrown;
   // Whether headings of the block are turned by pi.
   bool opposite = false;
   // Multiplies Gamma.
@@ -46,10 +46,10 @@ struct alignas(64) BlockSimilarity {
 };
 
 // Finds the similarity with all nodes of the block, kImpossible where
-// ill-conditioned. For dead reckoning, the query is the later node of each
-// pair. `next` is the block that will be asked for next, which is fetched on
-// the way, or the same block. `shares`, if not null, multiply Gamma node by
-// node: aligned, and for errors that are not those of dead reckoning.
+// ill-conditioned. For kGrown, the query is the later node of each pair. `next`
+// is the block that will be asked for next, which is fetched on the way, or the
+// same block. `shares`, if not null, multiply Gamma node by node: aligned, and
+// for kSummed.
 void EvaluateBlock(const KernelQuery& query, const NodeBlock& block,
                    const NodeBlock& next, const BlockShares* shares,
                    BlockSimilarity* similarity);

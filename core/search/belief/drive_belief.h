@@ -28,6 +28,7 @@
 #include "core/search/alignment/relative_model.h"
 #include "core/search/belief/mark.h"
 #include "core/search/belief/scale_estimate.h"
+#include "core/settings.h"
 
 namespace revisit::core {
 
@@ -37,9 +38,6 @@ inline constexpr double kLogScalePrior = 0.7;
 inline constexpr double kScaleShare = 0.1;
 // Most marks whose evidence of the scale is asked for.
 inline constexpr std::int64_t kMostScaleMarks = 32;
-// Marks whose places are remembered: over a longer way, the drift becomes
-// another.
-inline constexpr std::int64_t kDriftMarks = 24;
 // How far the drift that a mark has shown reaches along the path from its place
 // either way, in spacings of marks.
 inline constexpr double kDriftReach = 40.0;

@@ -5,10 +5,9 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
-#include <tuple>
 #include <vector>
 
-#include "core/drive/correlation.h"
+#include "core/drive/node_noise.h"
 #include "core/geometry/heading.h"
 #include "core/search/candidates/chi_squared.h"
 #include "core/search/candidates/gate.h"
@@ -84,16 +83,6 @@ struct Shown {
 };
 
 }  // namespace
-
-bool operator==(const ConsistencyOptions& a, const ConsistencyOptions& b) {
-  const auto all = [](const ConsistencyOptions& o) {
-    return std::make_tuple(o.similarity.state_space, o.similarity.correlation,
-                           o.similarity.tolerance.position_meters,
-                           o.similarity.tolerance.heading_radians,
-                           o.gate_probability, o.applied, o.max_inflation);
-  };
-  return all(a) == all(b);
-}
 
 ConsistencyMonitor::ConsistencyMonitor(const ConsistencyOptions& options)
     : options_(options),

@@ -56,14 +56,14 @@ struct ConsistencyOptions {
   bool applied = false;
   double max_inflation = 10.0;
 };
-bool operator==(const ConsistencyOptions& a, const ConsistencyOptions& b);
 
 // Estimates f from one confirmed pair after the other.
 class ConsistencyMonitor {
  public:
   explicit ConsistencyMonitor(const ConsistencyOptions& options);
 
-  // Adds a confirmed pair. O(1), but O(nodes between the two) for kFilter.
+  // Adds a confirmed pair. O(1) where the noise model has a closed form, else
+  // O(nodes between the two).
   void Confirm(const PoseGraph& graph, const ConfirmedLoop& loop);
 
   // `rejected` is not filled in.

@@ -4,7 +4,9 @@
 
 #include "core/drive/pose_graph.h"
 #include "core/geometry/pose.h"
+#include "core/search/alignment/history.h"
 #include "core/search/alignment/log_similarity.h"
+#include "core/search/alignment/query.h"
 
 namespace revisit::core {
 
@@ -54,8 +56,10 @@ struct GatedDifference {
   GateResult gate;
 };
 
-GatedDifference DecideAt(const PoseGraph& graph, const SimilarityModel& model,
-                         const Gate& gate, NodeIndex query, NodeIndex matched);
+// `matched` is a node of the history's graph.
+GatedDifference DecideAt(const Query& query, const History& history,
+                         const SimilarityModel& model, const Gate& gate,
+                         NodeIndex matched);
 
 }  // namespace revisit::core
 

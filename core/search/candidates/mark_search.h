@@ -10,18 +10,10 @@
 
 namespace revisit::core {
 
-// Meters of path between the marks of a vehicle.
-double MarkSpacing(const DriveSettings& settings);
-// The options with which the marks of a vehicle are searched that has these of
-// its own. They tell apart what marks depend on: all others are at their
-// defaults.
-SearchOptions MarkOptions(const SearchOptions& own);
-// Whether the marks of a drive are the same under both.
-bool HaveSameMarks(const SearchOptions& a, const SearchOptions& b);
-
 // Searches with nothing believed yet but the prior of the scale, and without
 // closures: the answer depends on the poses up to the query alone. Returns
-// CANCELLED if told to stop. REQUIRES: the task's options are MarkOptions().
+// CANCELLED if told to stop. REQUIRES: the task's options are MarkOptions(),
+// and its only history is the drive's own past.
 absl::StatusOr<MarkEvidence> SearchMark(const SearchTask& task);
 
 }  // namespace revisit::core

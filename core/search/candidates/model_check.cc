@@ -121,20 +121,16 @@ std::optional<FindingCode> ModelCheck::Judge(CorrelationModel model) const {
   const double growing = growing_.value();
   const bool is_smooth =
       smooth_.counted() >= kLeastTriples && smooth_.value() > kMostSmooth;
-  switch (model) {
-    case CorrelationModel::kDeadReckoning:
-      if (growing < kLeastGrowing) return FindingCode::kCovariancesDoNotGrow;
-      break;
-    case CorrelationModel::kIndependent:
-      if (growing > kMostGrowing) return FindingCode::kCovariancesGrow;
-      if (is_smooth) return FindingCode::kErrorsCorrelated;
-      break;
-    case CorrelationModel::kCorrelatedFixes:
-      if (growing > kMostGrowing) return FindingCode::kCovariancesGrow;
-      break;
-    case CorrelationModel::kFilter:
-      break;
+  const NoiseModel& noise = NoiseOf(model);
+  if (noise.claimed_growth == ClaimedGrowth::kGrows &&
+      growing < kLeastGrowing) {
+    return FindingCode::kCovariancesDoNotGrow;
   }
+  if (noise.claimed_growth == ClaimedGrowth::kDoesNotGrow &&
+      growing > kMostGrowing) {
+    return FindingCode::kCovariancesGrow;
+  }
+  if (noise.is_white && is_smooth) return FindingCode::kErrorsCorrelated;
   return std::nullopt;
 }
 

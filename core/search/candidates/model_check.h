@@ -37,18 +37,19 @@
 #include <optional>
 
 #include "core/base/byte_stream.h"
-#include "core/drive/correlation.h"
 #include "core/drive/stamps.h"
 #include "core/geometry/pose.h"
+#include "core/noise/noise_model.h"
 
 namespace revisit::core {
 
 enum class FindingCode {
-  // kDeadReckoning, but few stretches grow.
+  // Claims are to grow (NoiseModel), but few stretches do.
   kCovariancesDoNotGrow,
-  // Fixes of either model, but nearly all stretches grow.
+  // Claims are not to grow, but nearly all stretches do.
   kCovariancesGrow,
-  // kIndependent, but most triples are smooth, and stretches do not grow.
+  // Errors are to be white, but most triples are smooth, and stretches do not
+  // grow.
   kErrorsCorrelated,
   // The stamps go forward by more than the greatest age that is kept. Drive
   // finds it, whatever the model.

@@ -2,8 +2,10 @@
 
 namespace revisit::core {
 
-Correlation CorrelationOf(const SearchOptions& options) {
-  return {options.correlation_model, options.fix_correlation_meters};
+NodeIndex SearchTask::history_size() const {
+  NodeIndex size = 0;
+  for (const History& history : histories) size += history.size;
+  return size;
 }
 
 SimilarityModel ClaimedModel(StateSpace space, const SearchOptions& options) {

@@ -16,6 +16,7 @@
 #include "client/formats/drive_file.h"
 #include "client/trajectory/dead_reckoning.h"
 #include "core/drive/drive.h"
+#include "core/drive/node_noise.h"
 #include "core/geometry/heading.h"
 #include "core/search/alignment/log_similarity.h"
 #include "core/search/candidates/gate.h"

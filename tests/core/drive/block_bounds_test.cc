@@ -10,7 +10,8 @@
 #include <set>
 #include <vector>
 
-#include "core/drive/correlation.h"
+#include "core/drive/node_noise.h"
+#include "core/noise/dead_reckoning.h"
 #include "tests/core/graphs.h"
 #include "tests/random.h"
 

@@ -9,8 +9,8 @@
 #include <utility>
 #include <vector>
 
-#include "core/drive/correlation.h"
 #include "core/drive/drive.h"
+#include "core/drive/node_noise.h"
 #include "core/search/search.h"
 #include "tests/core/drive/drives.h"
 #include "tests/random.h"
@@ -166,15 +166,11 @@ TEST(DriveDroppedTest, AFilterCarriesItsErrorsOn) {
     const NodeIndex from = *whole.graph().NodeAtOrBefore(15);
     const NodeIndex to = *whole.graph().NodeAtOrBefore(50);
     if (space == StateSpace::kPlanar) {
-      expect_near(PropagatedError<3>(drive.graph(), CorrelationModel::kFilter,
-                                     before, after),
-                  PropagatedError<3>(whole.graph(), CorrelationModel::kFilter,
-                                     from, to));
+      expect_near(CarriedTransition<3>(drive.graph(), before, after),
+                  CarriedTransition<3>(whole.graph(), from, to));
     } else {
-      expect_near(PropagatedError<4>(drive.graph(), CorrelationModel::kFilter,
-                                     before, after),
-                  PropagatedError<4>(whole.graph(), CorrelationModel::kFilter,
-                                     from, to));
+      expect_near(CarriedTransition<4>(drive.graph(), before, after),
+                  CarriedTransition<4>(whole.graph(), from, to));
     }
   }
 }

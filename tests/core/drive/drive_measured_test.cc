@@ -209,7 +209,7 @@ TEST(DriveMeasuredTest, AgreementCountsTheVehiclesInflation) {
   const auto claimed =
       drive.AgreementOf(laps.query + 1, kMatched + 1, measured);
   settings.apply_inflation = true;
-  drive.ChangeSettings(settings, 2);
+  EXPECT_TRUE(drive.ChangeSettings(settings, 2).ok());
   const auto inflated =
       drive.AgreementOf(laps.query + 1, kMatched + 1, measured);
   ASSERT_TRUE(claimed && inflated);

@@ -120,7 +120,7 @@ TEST(DriveTest, ChecksFollowChangedSettings) {
   drive.Append({samples.begin(), samples.begin() + 331}, 1);  // 330 m
   DriveSettings settings;
   settings.check_interval_meters = 100.0;
-  drive.ChangeSettings(settings, 2);
+  EXPECT_TRUE(drive.ChangeSettings(settings, 2).ok());
   EXPECT_THAT(
       drive.Append({samples.begin() + 331, samples.end()}, 3).checks_due,
       ElementsAre(200, 250, 300, 350));

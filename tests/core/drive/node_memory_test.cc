@@ -156,6 +156,26 @@ TEST_F(NodeMemoryTest, ANodeOfAnyKindOfVehicleTakesAtMostWhatIsPromised) {
   }
 }
 
+TEST_F(NodeMemoryTest, ACopyOfAGraphTakesAPointerPerBlockAndTheLastBlock) {
+  std::mt19937_64 random = SeededRandom();
+  for (const Vehicle& vehicle : kVehicles) {
+    DriveSettings settings;
+    settings.state_space = vehicle.space;
+    settings.search.correlation_model = vehicle.correlation;
+    Drive drive(settings);
+    for (std::uint64_t sequence = 1; drive.graph().size() < 20'000;
+         ++sequence) {
+      drive.Append({RandomSample(random, vehicle, sequence)}, sequence);
+    }
+    const std::int64_t before = allocated_bytes;
+    const PoseGraph copy = drive.graph();
+    const double blocks = static_cast<double>(BlocksOf(copy.size()));
+    const double last = static_cast<double>(drive.bytes()) / blocks;
+    EXPECT_LE(static_cast<double>(allocated_bytes - before),
+              17.0 * blocks + 2.0 * last);
+  }
+}
+
 TEST_F(NodeMemoryTest, AVehicleOfOneNodeTakesAtMostFourKilobytes) {
   std::mt19937_64 random = SeededRandom();
   for (const Vehicle& vehicle : kVehicles) {

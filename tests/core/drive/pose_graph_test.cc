@@ -153,5 +153,74 @@ TEST(PoseGraphTest, NodesKeepTheirPlaceAcrossBlocks) {
   }
 }
 
+Node SomeNode(std::uint64_t i) {
+  Node node = At(i + 1, 0.25);
+  node.travelled_meters = 2.0 * static_cast<double>(i);
+  if (i % 2 == 0) node.stamp_ns = static_cast<std::int64_t>(i);
+  node.pose = {1.0 * static_cast<double>(i), 5.0, 0.0, 0.5};
+  node.covariance(0, 0) = 1.0 + static_cast<double>(i);
+  return node;
+}
+
+void ExpectSomeNodes(const PoseGraph& graph, std::uint64_t first,
+                     std::uint64_t last) {
+  for (std::uint64_t i = first; i < last; ++i) {
+    const Node node = graph.node(static_cast<NodeIndex>(i));
+    const Node expected = SomeNode(i);
+    EXPECT_EQ(node.sequence, expected.sequence);
+    EXPECT_EQ(node.fraction, expected.fraction);
+    EXPECT_EQ(node.travelled_meters, expected.travelled_meters);
+    EXPECT_EQ(node.stamp_ns, expected.stamp_ns);
+    EXPECT_EQ(node.pose.x, expected.pose.x);
+    EXPECT_EQ(node.covariance.upper, expected.covariance.upper);
+  }
+}
+
+TEST(PoseGraphTest, ACopyStaysAsTheGraphWas) {
+  constexpr std::uint64_t kEnd = 5 * NodeBlock::kSize;
+  for (const std::uint64_t then :
+       {std::uint64_t{1}, NodeBlock::kSize - 1, NodeBlock::kSize,
+        NodeBlock::kSize + 1, 3 * NodeBlock::kSize + 7}) {
+    PoseGraph graph;
+    for (std::uint64_t i = 0; i < then; ++i) {
+      graph.AddNode(SomeNode(i), i % 50 == 0, std::nullopt);
+    }
+    if (then > 9) graph.AddLoopEdge(8, 1);
+    const PoseGraph copy = graph;
+    for (std::uint64_t i = then; i < kEnd; ++i) {
+      graph.AddNode(SomeNode(i), i % 50 == 0, std::nullopt);
+    }
+    if (then > 9) graph.RemoveLoopEdge(8, 1);
+    graph.AddLoopEdge(7, static_cast<NodeIndex>(kEnd) - 1);
+
+    ASSERT_EQ(copy.size(), static_cast<NodeIndex>(then));
+    ExpectSomeNodes(copy, 0, then);
+    EXPECT_EQ(copy.SegmentEnd(copy.size() - 1), copy.size());
+    EXPECT_EQ(copy.NodeAtOrBefore(kEnd), copy.size() - 1);
+    EXPECT_EQ(copy.LoopEdges().size(), then > 9 ? 1u : 0u);
+    ExpectSomeNodes(graph, 0, kEnd);
+    EXPECT_THAT(graph.LoopEdges(),
+                ElementsAre(Pair(7, static_cast<NodeIndex>(kEnd) - 1)));
+  }
+}
+
+TEST(PoseGraphTest, AGraphAndItsCopyGrowApart) {
+  PoseGraph graph;
+  for (std::uint64_t i = 0; i < NodeBlock::kSize + 3; ++i) {
+    graph.AddNode(SomeNode(i), i == 0, std::nullopt);
+  }
+  PoseGraph copy = graph;
+  for (std::uint64_t i = NodeBlock::kSize + 3; i < 3 * NodeBlock::kSize; ++i) {
+    graph.AddNode(SomeNode(i), false, std::nullopt);
+    copy.AddNode(SomeNode(i + 1000), false, std::nullopt);
+  }
+  ExpectSomeNodes(graph, 0, 3 * NodeBlock::kSize);
+  ExpectSomeNodes(copy, 0, NodeBlock::kSize + 3);
+  for (NodeIndex i = NodeBlock::kSize + 3; i < copy.size(); ++i) {
+    EXPECT_EQ(copy.node(i).sequence, graph.node(i).sequence + 1000);
+    EXPECT_EQ(copy.pose(i).x, graph.pose(i).x + 1000.0);
+  }
+}
+
 }  // namespace
 }  // namespace revisit::core

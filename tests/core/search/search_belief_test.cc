@@ -188,7 +188,7 @@ bool KeepsMarks(const std::vector<PoseSample>& samples,
   EXPECT_TRUE(search.AtEnd(drive.settings().search, nullptr).ok());
   DriveSettings settings = drive.settings();
   change(&settings);
-  drive.ChangeSettings(settings, drive.revision() + 1);
+  EXPECT_TRUE(drive.ChangeSettings(settings, drive.revision() + 1).ok());
   // Whether or not a search begins with a belief now, one could.
   SearchOptions believing = settings.search;
   believing.use_belief = true;

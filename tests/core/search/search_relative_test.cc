@@ -703,10 +703,10 @@ TEST(SearchRelativeTest, AClosureTakenBackLeavesNoTraceInTheConsistency) {
   // Other settings result in another estimate from the same closures.
   DriveSettings settings;
   settings.max_inflation = 1.0;
-  other.ChangeSettings(settings, 6);
+  EXPECT_TRUE(other.ChangeSettings(settings, 6).ok());
   EXPECT_EQ(other.consistency().confirmed, 2);
   EXPECT_EQ(other.consistency().inflation, 1.0);
-  other.ChangeSettings({}, 7);
+  EXPECT_TRUE(other.ChangeSettings({}, 7).ok());
   EXPECT_EQ(other.consistency().inflation, plain.consistency().inflation);
 }
 

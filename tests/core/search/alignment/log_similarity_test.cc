@@ -5,7 +5,9 @@
 #include <cmath>
 #include <vector>
 
+#include "core/drive/node_noise.h"
 #include "core/geometry/heading.h"
+#include "core/noise/dead_reckoning.h"
 #include "tests/core/graphs.h"
 #include "tests/oracle/dead_reckoning.h"
 #include "tests/oracle/long_double_density.h"
@@ -22,10 +24,12 @@ void ExpectMatchesLongDouble(const PoseGraph& graph,
   const NodeIndex earlier = std::min(i, j);
   const NodeIndex later = std::max(i, j);
   const bool fixes = model.correlation == CorrelationModel::kCorrelatedFixes;
-  const StateMatrix<D> psi =
-      fixes
-          ? StateMatrix<D>::Zero()
-          : PropagatedError<D>(graph, model.correlation.model, earlier, later);
+  StateMatrix<D> psi = StateMatrix<D>::Zero();
+  if (model.correlation == CorrelationModel::kDeadReckoning) {
+    psi = DeadReckoningTransition<D>(graph.pose(earlier), graph.pose(later));
+  } else if (model.correlation == CorrelationModel::kFilter) {
+    psi = CarriedTransition<D>(graph, earlier, later);
+  }
   const long double share =
       fixes ? 1.0L - oracle::WideShared(
                          oracle::WideCovarianceOf(graph.covariance(earlier), D),

@@ -233,10 +233,10 @@ TEST(ModelCheckTest, TheDriveTellsAFindingOnceAndKeepsIt) {
   EXPECT_EQ(at_once.findings()[0].growing, drive.findings()[0].growing);
   EXPECT_EQ(at_once.findings()[0].smoother, drive.findings()[0].smoother);
   settings.search.correlation_model = CorrelationModel::kIndependent;
-  at_once.ChangeSettings(settings, 2);
+  EXPECT_TRUE(at_once.ChangeSettings(settings, 2).ok());
   EXPECT_EQ(at_once.findings()[0].code, FindingCode::kErrorsCorrelated);
   settings.search.correlation_model = CorrelationModel::kCorrelatedFixes;
-  at_once.ChangeSettings(settings, 3);
+  EXPECT_TRUE(at_once.ChangeSettings(settings, 3).ok());
   EXPECT_TRUE(at_once.findings().empty());
 }
 

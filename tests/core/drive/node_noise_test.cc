@@ -1,4 +1,4 @@
-#include "core/drive/correlation.h"
+#include "core/drive/node_noise.h"
 
 #include <gtest/gtest.h>
 
@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "core/geometry/heading.h"
+#include "core/noise/dead_reckoning.h"
 #include "tests/core/graphs.h"
 #include "tests/oracle/dead_reckoning.h"
 #include "tests/random.h"
@@ -52,7 +53,7 @@ void ExpectCovarianceNear(const StateMatrix<D>& actual,
   }
 }
 
-TEST(CorrelationTest, DeadReckoningMatchesTheCovarianceOfDrawnDrives) {
+TEST(NodeNoiseTest, DeadReckoningMatchesTheCovarianceOfDrawnDrives) {
   std::mt19937_64 random = SeededRandom();
   oracle::Noise noise;
   noise.start_heading_radians = 0.002;
@@ -80,8 +81,8 @@ TEST(CorrelationTest, DeadReckoningMatchesTheCovarianceOfDrawnDrives) {
   const StateMatrix<3> s_ii = ToMatrix<3>(graph.node(i).covariance);
   const StateMatrix<3> s_jj = ToMatrix<3>(graph.node(j).covariance);
   const StateMatrix<3> s_ij =
-      s_ii * PropagatedError<3>(graph, CorrelationModel::kDeadReckoning, i, j)
-                 .transpose();
+      s_ii *
+      DeadReckoningTransition<3>(graph.pose(i), graph.pose(j)).transpose();
   // Sample covariances of 20,000 draws are accurate to about 1 / sqrt(20,000) =
   // 0.007 of the standard deviations; allowed is four times that.
   StateMatrix<3> units = StateMatrix<3>::Zero();
@@ -96,7 +97,7 @@ TEST(CorrelationTest, DeadReckoningMatchesTheCovarianceOfDrawnDrives) {
   ExpectCovarianceNear<3>(of_difference, gamma, gamma, 0.04);
 }
 
-TEST(CorrelationTest, FilterMatchesTheCovarianceOfADrawnKalmanFilter) {
+TEST(NodeNoiseTest, FilterMatchesTheCovarianceOfADrawnKalmanFilter) {
   // A SPATIAL filter with error e_j = A_j e_i + w, with w drawn.
   std::mt19937_64 random = SeededRandom();
   const int nodes = 12;
@@ -148,7 +149,7 @@ TEST(CorrelationTest, FilterMatchesTheCovarianceOfADrawnKalmanFilter) {
   ExpectCovarianceNear<4>(of_difference, gamma, gamma, 0.03);
 }
 
-TEST(CorrelationTest, IndependentAddsTheCovariances) {
+TEST(NodeNoiseTest, IndependentAddsTheCovariances) {
   std::mt19937_64 random = SeededRandom();
   const PoseGraph graph = RandomGraph(random, 5, 0.0, 0, false);
   const StateMatrix<4> gamma =
@@ -157,7 +158,7 @@ TEST(CorrelationTest, IndependentAddsTheCovariances) {
                        ToMatrix<4>(graph.node(3).covariance));
 }
 
-TEST(CorrelationTest, TheOrderOfTheNodesDoesNotMatter) {
+TEST(NodeNoiseTest, TheOrderOfTheNodesDoesNotMatter) {
   std::mt19937_64 random = SeededRandom();
   const PoseGraph graph = RandomGraph(random, 8, 0.0, 0, true);
   for (CorrelationModel model :
@@ -168,7 +169,7 @@ TEST(CorrelationTest, TheOrderOfTheNodesDoesNotMatter) {
   }
 }
 
-TEST(CorrelationTest, DeadReckonedNodesNextToEachOtherDifferByTheStepAlone) {
+TEST(NodeNoiseTest, DeadReckonedNodesNextToEachOtherDifferByTheStepAlone) {
   // After 100 km the uncertainty is hundreds of metres, yet Gamma of two nodes
   // 100 m apart must still hold only what was added between them: the terms
   // that cancel are a million times larger.
@@ -186,7 +187,7 @@ TEST(CorrelationTest, DeadReckonedNodesNextToEachOtherDifferByTheStepAlone) {
   // Heading noise is independent of the earlier heading, so Gamma's x and y
   // hold the lever arm of the common heading error too; take it out.
   const StateMatrix<3> psi =
-      PropagatedError<3>(graph, CorrelationModel::kDeadReckoning, i, j);
+      DeadReckoningTransition<3>(graph.pose(i), graph.pose(j));
   const StateMatrix<3> s_ii = ToMatrix<3>(graph.node(i).covariance);
   const StateMatrix<3> lever = (StateMatrix<3>::Identity() - psi) * s_ii *
                                (StateMatrix<3>::Identity() - psi).transpose();
@@ -208,7 +209,7 @@ PoseGraph FixesOfOneShape(const StateMatrix<3>& shape,
   return graph;
 }
 
-TEST(CorrelationTest, CorrelatedFixesMatchADrawnGaussMarkovProcess) {
+TEST(NodeNoiseTest, CorrelatedFixesMatchADrawnGaussMarkovProcess) {
   std::mt19937_64 random = SeededRandom();
   const StateMatrix<3> shape = ToMatrix<3>(RandomCovariance(random, 1.0));
   const StateMatrix<3> root = shape.llt().matrixL();
@@ -250,7 +251,7 @@ TEST(CorrelationTest, CorrelatedFixesMatchADrawnGaussMarkovProcess) {
                           units, 0.06);
 }
 
-TEST(CorrelationTest, CorrelatedFixesThatAreFarApartAreIndependent) {
+TEST(NodeNoiseTest, CorrelatedFixesThatAreFarApartAreIndependent) {
   std::mt19937_64 random = SeededRandom();
   const PoseGraph graph = RandomGraph(random, 300, 0.0, 0, false);
   const Correlation correlation(CorrelationModel::kCorrelatedFixes, 5.0);
@@ -264,7 +265,7 @@ TEST(CorrelationTest, CorrelatedFixesThatAreFarApartAreIndependent) {
                                       299, 1, &shares));
 }
 
-TEST(CorrelationTest, NeighbouringFixesShareAllOfWhatTheCovariancesAllow) {
+TEST(NodeNoiseTest, NeighbouringFixesShareAllOfWhatTheCovariancesAllow) {
   // A receiver that comes out of a tunnel knows more than it did: what it has
   // gained is left in the difference.
   const PoseGraph graph =
@@ -276,7 +277,7 @@ TEST(CorrelationTest, NeighbouringFixesShareAllOfWhatTheCovariancesAllow) {
               1e-3);
 }
 
-TEST(CorrelationTest, FixesOfAnyTwoCovariancesHaveADefiniteDifference) {
+TEST(NodeNoiseTest, FixesOfAnyTwoCovariancesHaveADefiniteDifference) {
   std::mt19937_64 random = SeededRandom();
   for (int trial = 0; trial < 200; ++trial) {
     const PoseGraph graph = RandomGraph(random, 6, 0.0, 0, false);
@@ -292,17 +293,15 @@ TEST(CorrelationTest, FixesOfAnyTwoCovariancesHaveADefiniteDifference) {
   }
 }
 
-TEST(CorrelationTest, LongFilterProductsDecayToZero) {
+TEST(NodeNoiseTest, LongFilterProductsDecayToZero) {
   PoseGraph graph;
   StateMatrix<4> half = 0.5 * StateMatrix<4>::Identity();
   for (std::uint64_t i = 0; i < 100; ++i) {
     graph.AddNode(Node{}, i == 0, ToErrorTransition<4>(half));
   }
-  EXPECT_EQ(PropagatedError<4>(graph, CorrelationModel::kFilter, 0, 99),
-            (StateMatrix<4>::Zero()));
-  EXPECT_NEAR(
-      (PropagatedError<4>(graph, CorrelationModel::kFilter, 89, 99))(0, 0),
-      std::pow(0.5, 10), 1e-18);
+  EXPECT_EQ(CarriedTransition<4>(graph, 0, 99), (StateMatrix<4>::Zero()));
+  EXPECT_NEAR((CarriedTransition<4>(graph, 89, 99))(0, 0), std::pow(0.5, 10),
+              1e-18);
 }
 
 }  // namespace
