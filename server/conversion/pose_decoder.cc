@@ -6,6 +6,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/base/number_text.h"
+#include "core/geometry/pose.h"
 #include "server/base/sequences.h"
 #include "server/conversion/covariances.h"
 #include "server/conversion/timestamps.h"

@@ -8,6 +8,7 @@
 #include <string>
 
 #include "core/drive/drive.h"
+#include "core/geometry/pose.h"
 #include "revisit/v1/geometry.pb.h"
 #include "server/conversion/field_violations.h"
 #include "server/conversion/geodetic_frame.h"

@@ -10,8 +10,8 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "core/drive/measured_loop.h"
 #include "core/geometry/pose.h"
-#include "core/search/alignment/confirmed_loop.h"
 #include "revisit/v1/loop_closure.pb.h"
 #include "server/conversion/field_violations.h"
 

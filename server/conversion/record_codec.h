@@ -13,6 +13,8 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "core/drive/dropped_stretch.h"
+#include "core/drive/measured_loop.h"
 #include "google/protobuf/repeated_field.h"
 #include "revisit/v1/geometry.pb.h"
 #include "server/sessions/record_codec.h"

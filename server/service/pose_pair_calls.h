@@ -11,7 +11,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/str_cat.h"
-#include "core/search/candidates/agreement.h"
+#include "core/drive/agreement.h"
 #include "google/protobuf/repeated_field.h"
 #include "revisit/v1/pose_graph_service.pb.h"
 #include "server/conversion/names.h"

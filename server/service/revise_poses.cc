@@ -11,6 +11,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/base/mutex.h"
+#include "core/drive/dropped_stretch.h"
 #include "server/base/status.h"
 #include "server/connections/drain.h"
 #include "server/conversion/field_violations.h"

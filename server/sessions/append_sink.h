@@ -12,6 +12,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/drive/drive.h"
+#include "core/drive/findings.h"
 #include "core/settings.h"
 #include "server/sessions/record_codec.h"
 #include "server/sessions/vehicle_view.h"

@@ -13,6 +13,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/drive/drive.h"
+#include "core/geometry/pose.h"
 #include "server/sessions/append_sink.h"
 #include "server/sessions/retention.h"
 #include "server/sessions/vehicle_queue.h"

@@ -5,6 +5,8 @@
 #include <tuple>
 
 #include "absl/strings/str_cat.h"
+#include "core/drive/pose_graph.h"
+#include "core/geometry/pose.h"
 
 namespace revisit::server {
 

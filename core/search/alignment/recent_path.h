@@ -10,6 +10,7 @@
 
 #include "core/drive/pose_graph.h"
 #include "core/geometry/pose.h"
+#include "core/geometry/state_matrix.h"
 #include "core/search/alignment/relative_model.h"
 #include "core/search/alignment/shape_filter.h"
 #include "core/search/alignment/similarity_kernel.h"

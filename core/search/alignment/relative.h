@@ -58,6 +58,7 @@
 #include "core/search/alignment/relative_model.h"
 #include "core/search/alignment/scored_ends.h"
 #include "core/search/alignment/viterbi.h"
+#include "core/search/should_stop.h"
 
 namespace revisit::core {
 

@@ -10,6 +10,7 @@
 
 #include "core/drive/block_bounds.h"
 #include "core/drive/pose_graph.h"
+#include "core/geometry/state_matrix.h"
 #include "core/search/alignment/recent_path.h"
 #include "core/search/alignment/relative_model.h"
 #include "core/search/alignment/similarity_kernel.h"
