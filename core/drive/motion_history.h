@@ -40,7 +40,7 @@ class MotionHistory {
 
   const Correlation& correlation() const { return correlation_; }
   NodeIndex stretch_nodes() const { return turn_bins_.stretch_nodes(); }
-  // Those of all nodes that were added.
+  // The turns and headings of all nodes that were added.
   const TurnBins& turn_bins() const { return turn_bins_; }
   const HeadingBins& heading_bins() const { return heading_bins_; }
 

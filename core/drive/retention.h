@@ -106,9 +106,9 @@ class DroppableSearch {
   const std::unique_ptr<Impl> impl_;
 };
 
-// Sequences of the poses that no node outside of the range comes from, first
-// and last: none if last < first. REQUIRES: a range of the graph, not empty,
-// that does not reach its end.
+// The first and the last sequence number of the poses from which no node
+// outside of a range comes; there are none if last < first. REQUIRES: a range
+// of the graph, not empty, that does not reach its end.
 struct SequenceRange {
   std::uint64_t first = 0;
   std::uint64_t last = 0;

@@ -49,7 +49,8 @@ struct AgeRules {
   std::optional<std::int64_t> latest_ns;
 };
 
-// As above; nothing where it is none. O(votes), and O(nodes) where few have a
+// agreed(count), and oldest of the whole graph, which the top of this file
+// defines; nothing where there is none. O(votes), and O(nodes) where few have a
 // stamp. REQUIRES: agreeing_nodes > 0; 0 <= count <= size of the graph.
 std::optional<std::int64_t> AgreedStamp(const PoseGraph& graph, NodeIndex count,
                                         const AgeRules& rules);

@@ -12,7 +12,10 @@
 #include "core/drive/node_range.h"
 #include "core/drive/pose_graph.h"
 #include "core/noise/noise_model.h"
-#include "core/search/alignment/scored_ends.h"
+#include "core/search/alignment/history.h"
+#include "core/search/alignment/query.h"
+#include "core/search/alignment/relation.h"
+#include "core/search/alignment/relative.h"
 #include "core/search/belief/drive_belief.h"
 #include "core/search/belief/mark.h"
 #include "core/search/candidates/composite_search.h"
@@ -27,6 +30,25 @@ namespace {
 // at hand does not need are forgotten. A search needs at most a sixth of it.
 constexpr std::size_t kMostMarksKept =
     6 * static_cast<std::size_t>(kMostScaleMarks + kDriftMarks);
+
+// Fills in what a search finds that has something to compare.
+absl::Status FindCandidates(const SearchTask& task, CandidateSet* set) {
+  set->nodes_considered = task.history_size();
+  if (task.prior.belief) set->scale = task.prior.belief->Scale();
+  const absl::Status status =
+      task.options.alignment == AlignmentKind::kComposite
+          ? SearchComposite(task, set)
+          : SearchRelative(task, set);
+  if (!status.ok()) return status;
+  for (std::size_t i = 0; i < set->candidates.size(); ++i) {
+    set->candidates[i].rank = static_cast<int>(i) + 1;
+  }
+  if (set->candidates.empty()) {
+    set->empty_reason = set->nodes_pruned > 0 ? EmptyReason::kNoProbablePlace
+                                              : EmptyReason::kNoAlignment;
+  }
+  return absl::OkStatus();
+}
 
 }  // namespace
 
@@ -70,11 +92,13 @@ class Search::Impl {
   // query.
   std::int64_t AlignedNodes(NodeIndex query, std::int64_t sequence_nodes,
                             const SearchOptions& options) const;
-  // A search of this extent, but for its model, what is not sought, and what is
-  // known before it. The arguments must outlive it.
-  SearchTask TaskOf(NodeIndex query, const Extent& extent,
-                    const SearchOptions& options,
-                    const ShouldStop& should_stop) const;
+  Query QueryAt(NodeIndex node, const Extent& extent) const;
+  // What the drive's own past has for such a query.
+  History PastOf(const Extent& extent, std::vector<NodeRange> not_sought) const;
+  // Searches the marks that are not known. Returns CANCELLED if told to stop.
+  absl::StatusOr<SearchPrior> PriorAt(NodeIndex query,
+                                      const SearchOptions& options,
+                                      const ShouldStop& should_stop);
   MarksBefore FindMarksBefore(NodeIndex query) const;
   // What the drive has shown before the query. Searches the marks that are not
   // known. Returns CANCELLED if told to stop.
@@ -82,17 +106,17 @@ class Search::Impl {
                                        const ShouldStop& should_stop);
   // Whether a mark shows the drift at the query.
   bool ShowsDrift(const MarkEvidence& mark, NodeIndex query) const;
-  // The evidence of a mark at this node.
+  // The evidence of a mark at this node. `parts`: see SearchTask.
   absl::StatusOr<MarkEvidence> EvidenceAt(
       NodeIndex node, const ShouldStop& should_stop,
-      AlignmentParts* parts = nullptr) const;
+      std::vector<AlignmentParts>* parts = nullptr) const;
   MarkLine Marks() const;
   // Whether a search with these options aligns the path that a mark there does.
   bool AlignsAsMarks(const SearchOptions& options) const;
   // Searches the mark at the query, if there is one that is not known. The
   // parts are those of a search there.
   void RememberIfMark(NodeIndex query, const ShouldStop& should_stop,
-                      AlignmentParts* parts);
+                      std::vector<AlignmentParts>* parts);
 
   const Drive& drive_;
   MarkMemory marks_;
@@ -148,42 +172,28 @@ absl::StatusOr<CandidateSet> Search::Impl::At(NodeIndex query,
   assert(FindProblems(options, drive_.settings()).empty());
   CandidateSet set;
   set.query = query;
-  const auto empty = [&set](EmptyReason reason) {
-    set.empty_reason = reason;
-    return set;
-  };
-
   const Extent extent = ExtentOfSearch(query, options);
   set.comparisons = extent.comparisons;
-  if (extent.empty) return empty(*extent.empty);
-
-  AlignmentParts parts;
-  SearchTask task = TaskOf(query, extent, options, should_stop);
-  task.similarity = drive_.SimilarityOf(options);
-  task.not_sought =
-      drive_.NotSought(query, options.candidate_separation_meters);
-  task.last_confirmed = drive_.LastConfirmed(query);
-  task.parts = &parts;
-  if (BeginsWithBelief(options, drive_.settings())) {
-    absl::StatusOr<DriveBelief> found = BeliefAt(query, should_stop);
-    if (!found.ok()) return found.status();
-    task.belief = *std::move(found);
+  if (extent.empty) {
+    set.empty_reason = *extent.empty;
+    return set;
   }
-  set.nodes_considered = extent.history_size;
-  if (task.belief) set.scale = task.belief->Scale();
-  const absl::Status status = options.alignment == AlignmentKind::kComposite
-                                  ? SearchComposite(task, &set)
-                                  : SearchRelative(task, &set);
+  absl::StatusOr<SearchPrior> prior = PriorAt(query, options, should_stop);
+  if (!prior.ok()) return prior.status();
+  std::vector<AlignmentParts> parts(1);
+  const SearchTask task{
+      QueryAt(query, extent),
+      {PastOf(extent,
+              drive_.NotSought(query, options.candidate_separation_meters))},
+      options,
+      drive_.settings().node_spacing_meters,
+      *std::move(prior),
+      should_stop,
+      &parts};
+  const absl::Status status = FindCandidates(task, &set);
   if (!status.ok()) return status;
-  if (task.belief && AlignsAsMarks(options)) {
+  if (task.prior.belief && AlignsAsMarks(options)) {
     RememberIfMark(query, should_stop, &parts);
-  }
-  for (std::size_t i = 0; i < set.candidates.size(); ++i) {
-    set.candidates[i].rank = static_cast<int>(i) + 1;
-  }
-  if (set.candidates.empty()) {
-    return empty(set.nodes_pruned > 0 ? EmptyReason::kNoProbablePlace
-                                      : EmptyReason::kNoAlignment);
   }
   return set;
 }
@@ -314,7 +324,7 @@ bool Search::Impl::AlignsAsMarks(const SearchOptions& options) const {
 // The next search will need the mark, which now takes less.
 void Search::Impl::RememberIfMark(NodeIndex query,
                                   const ShouldStop& should_stop,
-                                  AlignmentParts* parts) {
+                                  std::vector<AlignmentParts>* parts) {
   const MarkLine line = Marks();
   const std::int64_t mark = line.LastBefore(query) + 1;
   if (mark < 1 || line.NodeOf(mark) != query || marks_.Find(mark)) return;
@@ -340,7 +350,7 @@ bool Search::Impl::ShowsDrift(const MarkEvidence& mark, NodeIndex query) const {
 
 absl::StatusOr<MarkEvidence> Search::Impl::EvidenceAt(
     NodeIndex node, const ShouldStop& should_stop,
-    AlignmentParts* parts) const {
+    std::vector<AlignmentParts>* parts) const {
   const SearchOptions options = MarkOptions(drive_.settings().search);
   const Extent extent = ExtentOf(node, options);
   if (extent.empty) {
@@ -348,24 +358,40 @@ absl::StatusOr<MarkEvidence> Search::Impl::EvidenceAt(
     nothing.node = node;
     return nothing;
   }
-  SearchTask task = TaskOf(node, extent, options, should_stop);
-  task.similarity = ClaimedModel(drive_.settings().state_space, options);
-  task.not_sought = {
-      NodesNearer(drive_.graph(), node, options.candidate_separation_meters)};
-  task.parts = parts;
-  return SearchMark(task);
+  const NodeRange near =
+      NodesNearer(drive_.graph(), node, options.candidate_separation_meters);
+  return SearchMark(
+      SearchTask{QueryAt(node, extent),
+                 {PastOf(extent, {near})},
+                 options,
+                 drive_.settings().node_spacing_meters,
+                 {ClaimedModel(drive_.settings().state_space, options), {}, {}},
+                 should_stop,
+                 parts});
 }
 
-SearchTask Search::Impl::TaskOf(NodeIndex query, const Extent& extent,
-                                const SearchOptions& options,
-                                const ShouldStop& should_stop) const {
-  SearchTask task(drive_.graph(), drive_.motion_history(),
-                  drive_.block_bounds(), options, should_stop);
-  task.node_spacing_meters = drive_.settings().node_spacing_meters;
-  task.query = query;
-  task.steps = extent.aligned;
-  task.history_size = extent.history_size;
-  return task;
+Query Search::Impl::QueryAt(NodeIndex node, const Extent& extent) const {
+  return {drive_.graph(), node, extent.aligned, &drive_.motion_history()};
+}
+
+History Search::Impl::PastOf(const Extent& extent,
+                             std::vector<NodeRange> not_sought) const {
+  return {drive_.graph(),         extent.history_size,
+          std::move(not_sought),  &drive_.motion_history().heading_bins(),
+          &drive_.block_bounds(), Relation()};
+}
+
+absl::StatusOr<SearchPrior> Search::Impl::PriorAt(
+    NodeIndex query, const SearchOptions& options,
+    const ShouldStop& should_stop) {
+  SearchPrior prior;
+  prior.similarity = drive_.SimilarityOf(options);
+  prior.last_confirmed = drive_.LastConfirmed(query);
+  if (!BeginsWithBelief(options, drive_.settings())) return prior;
+  absl::StatusOr<DriveBelief> belief = BeliefAt(query, should_stop);
+  if (!belief.ok()) return belief.status();
+  prior.belief = *std::move(belief);
+  return prior;
 }
 
 std::int64_t Search::Impl::AlignedNodes(NodeIndex query,

@@ -123,8 +123,6 @@ class Relative {
     }
     history_.Extend(graph);
     bounds_.Extend(graph);
-    model_.motion_history = &history_;
-    model_.block_bounds = &bounds_;
   }
 
   void LeaveOut() {
@@ -132,8 +130,10 @@ class Relative {
   }
 
   std::optional<core::RelativeAlignment> Align() const {
-    return core::AlignRelative(graph_, model_, graph_.size() - 1, kSteps, n_,
-                               nullptr);
+    return core::AlignRelative(
+        {graph_, graph_.size() - 1, kSteps, &history_},
+        {graph_, n_, {}, &history_.heading_bins(), &bounds_, {}}, model_,
+        nullptr);
   }
 
   // Share of the history that passes the gate at the end pose.

@@ -95,7 +95,7 @@ void AddChecks(const Drive& drive, Tail* tail) {
                                         query - graph.SegmentStart(query) + 1);
     if (steps < sequence || history <= 0) continue;
     const auto alignment =
-        AlignRelative(graph, model, query, steps, history, nullptr);
+        AlignRelative({graph, query, steps}, {graph, history}, model, nullptr);
     const PlanarPose& here = truth[static_cast<std::size_t>(query)];
     for (const ScoredEnd& end : alignment->ends(Direction::kSame)) {
       const PlanarPose& there = truth[static_cast<std::size_t>(end.node)];

@@ -17,29 +17,29 @@ bool Reaches(const WeighedDrift& drift, NodeIndex first) {
 }
 
 template <int D>
-Anchors<D>::Anchors(const PoseGraph& graph, const RelativeModel& model,
-                    NodeIndex query, Direction direction)
+Anchors<D>::Anchors(const Query& query, const History& history,
+                    const RelativeModel& model, Direction direction)
     : model_(model) {
   SimilarityModel similarity = model.similarity;
   similarity.direction = direction;
   similarity.form = LikelihoodForm::kGaussian;
   parts_.reserve(std::max<std::size_t>(1, model.scales.size()) *
                  (1 + model.drifts.size()));
-  if (model.scales.empty()) AddParts(graph, similarity, {}, query);
+  if (model.scales.empty()) AddParts(query, history, similarity, {});
   for (const WeighedScale& scale : model.scales) {
-    AddParts(graph, similarity, scale, query);
+    AddParts(query, history, similarity, scale);
   }
 }
 
 template <int D>
-void Anchors<D>::AddParts(const PoseGraph& graph,
+void Anchors<D>::AddParts(const Query& query, const History& history,
                           const SimilarityModel& similarity,
-                          const WeighedScale& scale, NodeIndex query) {
+                          const WeighedScale& scale) {
   SimilarityModel scaled = similarity;
   scaled.inflation *= scale.scale;
   const auto add = [&](const std::optional<ConfirmedLoop>& loop,
                        const WeighedDrift* drift) {
-    Part& part = parts_.emplace_back(graph, scaled, loop, query);
+    Part& part = parts_.emplace_back(query, history, scaled, loop);
     part.scale = scale.scale;
     part.log_scale_weight = scale.log_weight;
     part.drift = drift;

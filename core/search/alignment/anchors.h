@@ -20,7 +20,9 @@
 #include "core/geometry/state_matrix.h"
 #include "core/noise/similarity_model.h"
 #include "core/search/alignment/differences.h"
+#include "core/search/alignment/history.h"
 #include "core/search/alignment/log_similarity.h"
+#include "core/search/alignment/query.h"
 #include "core/search/alignment/relative_model.h"
 #include "core/search/alignment/search_bounds.h"
 #include "core/search/alignment/similarity_kernel.h"
@@ -30,9 +32,9 @@ namespace revisit::core {
 template <int D>
 class Anchors {
  public:
-  // The graph and the model must outlive this.
-  Anchors(const PoseGraph& graph, const RelativeModel& model, NodeIndex query,
-          Direction direction);
+  // All must outlive this.
+  Anchors(const Query& query, const History& history,
+          const RelativeModel& model, Direction direction);
 
   // Compares the query with the first `count` nodes of block k; what else is
   // told concerns these. `next` is the block that will be asked for after it.
@@ -84,9 +86,9 @@ class Anchors {
 
  private:
   struct Part {
-    Part(const PoseGraph& graph, const SimilarityModel& model,
-         const std::optional<ConfirmedLoop>& loop, NodeIndex query)
-        : finder(graph, model, loop, query) {}
+    Part(const Query& query, const History& history,
+         const SimilarityModel& model, const std::optional<ConfirmedLoop>& loop)
+        : finder(query, history, model, loop) {}
 
     Differences<D> finder;
     double scale = 1.0;
@@ -102,8 +104,8 @@ class Anchors {
     BlockColumn unshifted;
   };
 
-  void AddParts(const PoseGraph& graph, const SimilarityModel& similarity,
-                const WeighedScale& scale, NodeIndex query);
+  void AddParts(const Query& query, const History& history,
+                const SimilarityModel& similarity, const WeighedScale& scale);
   void Weigh(NodeIndex first);
 
   const RelativeModel& model_;

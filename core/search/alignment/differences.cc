@@ -12,20 +12,19 @@
 namespace revisit::core {
 
 template <int D>
-Differences<D>::Differences(const PoseGraph& graph,
+Differences<D>::Differences(const Query& query, const History& history,
                             const SimilarityModel& model,
-                            const std::optional<ConfirmedLoop>& last_confirmed,
-                            NodeIndex query)
-    : graph_(graph),
-      query_(query),
+                            const std::optional<ConfirmedLoop>& last_confirmed)
+    : query_(query),
+      history_(history),
       model_(model),
       has_closed_form_(model.correlation.noise().has_closed_form()),
-      next_(query) {
+      next_(query.node) {
   if (!has_closed_form_) return;
-  kernel_query_ = MakeKernelQuery(graph, model_, query);
+  kernel_query_ = MakeKernelQuery(query.graph, model_, query.node);
   if (last_confirmed) {
     if (const auto known =
-            KnownDrift<D>::Make(graph, model_, *last_confirmed, query)) {
+            KnownDrift<D>::Make(query, model_, *last_confirmed)) {
       known_drift_ = known->Terms();
     }
   }
@@ -40,15 +39,16 @@ void Differences<D>::Find(std::size_t k, std::size_t count, std::size_t next,
   } else {
     alignas(64) BlockShares shares;
     const bool shared =
-        FindUncorrelatedShares(graph_, model_.correlation, query_, k, &shares);
-    FindDifferences(kernel_query_, graph_.block(k), graph_.block(next),
+        history_.relation.FindShares(query_, model_.correlation, k, &shares);
+    const PoseGraph& graph = history_.graph;
+    FindDifferences(kernel_query_, graph.block(k), graph.block(next),
                     shared ? &shares : nullptr, differences);
     if (known_drift_) {
       alignas(64) BlockColumn indices;
       std::iota(indices.begin(), indices.end(),
                 static_cast<double>(k * NodeBlock::kSize));
-      TakeKnownDrift(*known_drift_, model_.state_space, graph_.block(k),
-                     indices, differences);
+      TakeKnownDrift(*known_drift_, model_.state_space, graph.block(k), indices,
+                     differences);
     }
   }
   for (auto& column : differences->difference) {
@@ -73,18 +73,18 @@ template <int D>
 void Differences<D>::FindFiltered(std::size_t k, std::size_t count,
                                   DifferenceBlock* differences) {
   const auto first = static_cast<NodeIndex>(k * NodeBlock::kSize);
-  const Pose query_pose = graph_.pose(query_);
+  const Pose query_pose = query_.graph.pose(query_.node);
   const StateMatrix<D> query_covariance =
-      ToMatrix<D>(graph_.covariance(query_));
+      ToMatrix<D>(query_.graph.covariance(query_.node));
   for (std::size_t i = count; i-- > 0;) {
     const NodeIndex j = first + static_cast<NodeIndex>(i);
     CarryBackTo(j);
-    const Node node = graph_.node(j);
+    const Node node = history_.graph.node(j);
     const StateMatrix<D> covariance = ToleratedCovariance<D>(
         model_, DifferenceCovariance<D>(ToMatrix<D>(node.covariance),
                                         query_covariance, back_.psi()));
-    const StateVector<D> difference =
-        ToVector<D>(PassDifference(model_, query_pose, node.pose));
+    const StateVector<D> difference = ToVector<D>(
+        history_.relation.Difference(model_, query_pose, node.pose));
     std::size_t entry = 0;
     for (int r = 0; r < D; ++r) {
       differences->difference[static_cast<std::size_t>(r)][i] = difference(r);
@@ -99,7 +99,7 @@ void Differences<D>::FindFiltered(std::size_t k, std::size_t count,
 template <int D>
 void Differences<D>::CarryBackTo(NodeIndex j) {
   for (; next_ > j && !back_.decorrelated(); --next_) {
-    back_.GoBack(graph_.transition(next_));
+    back_.GoBack(history_.relation.TransitionTowards(query_, next_));
   }
 }
 

@@ -1,5 +1,6 @@
-// The differences of the query and the history under any correlation model,
-// block by block: what the similarity kernel evaluates.
+// The differences of the query and the history under any correlation model, as
+// their relation has them (relation.h), block by block: what the similarity
+// kernel evaluates.
 #ifndef REVISIT_CORE_SEARCH_ALIGNMENT_DIFFERENCES_H_
 #define REVISIT_CORE_SEARCH_ALIGNMENT_DIFFERENCES_H_
 
@@ -11,8 +12,10 @@
 #include "core/geometry/pose.h"
 #include "core/noise/filter.h"
 #include "core/noise/similarity_model.h"
+#include "core/search/alignment/history.h"
 #include "core/search/alignment/known_drift.h"
 #include "core/search/alignment/log_similarity.h"
+#include "core/search/alignment/query.h"
 #include "core/search/alignment/similarity_kernel.h"
 
 namespace revisit::core {
@@ -21,11 +24,11 @@ template <int D>
 class Differences {
  public:
   // `last_confirmed`: the loop closure that has shown the drift, or nothing.
-  // REQUIRES: the graph outlives this and does not change; last_confirmed where
-  // NoiseModel::closures_show_drift only.
-  Differences(const PoseGraph& graph, const SimilarityModel& model,
-              const std::optional<ConfirmedLoop>& last_confirmed,
-              NodeIndex query);
+  // REQUIRES: all outlive this, and their graphs do not change; last_confirmed
+  // where NoiseModel::closures_show_drift only.
+  Differences(const Query& query, const History& history,
+              const SimilarityModel& model,
+              const std::optional<ConfirmedLoop>& last_confirmed);
 
   // Finds the differences of the first `count` nodes of block k; those of the
   // other entries are 0. `next` is the block that will be asked for after it,
@@ -34,7 +37,7 @@ class Differences {
   void Find(std::size_t k, std::size_t count, std::size_t next,
             DifferenceBlock* differences);
 
-  // Finds the differences of nodes from anywhere in the graph, the first
+  // Finds the differences of nodes from anywhere in the history, the first
   // `count` of a block that they were copied to. REQUIRES:
   // NoiseModel::neighbours_err_alike.
   void FindAmong(const NodeBlock& nodes, const BlockColumn& indices,
@@ -45,8 +48,8 @@ class Differences {
                     DifferenceBlock* differences);
   void CarryBackTo(NodeIndex j);
 
-  const PoseGraph& graph_;
-  const NodeIndex query_;
+  const Query& query_;
+  const History& history_;
   const SimilarityModel model_;
   const bool has_closed_form_;
   // Where it has one.

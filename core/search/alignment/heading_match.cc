@@ -1,7 +1,6 @@
 #include "core/search/alignment/heading_match.h"
 
 #include <algorithm>
-#include <cassert>
 #include <cmath>
 
 namespace revisit::core {
@@ -16,15 +15,16 @@ constexpr float kRounding = 1e-3F;
 }  // namespace
 
 template <int D>
-std::optional<HeadingMatch> HeadingMatch::Make(const PoseGraph& graph,
-                                               const HeadingBins& bins,
-                                               const RecentPath<D>& recent,
-                                               NodeIndex query,
-                                               NodeIndex history_size) {
-  assert(history_size <= bins.size());
-  HeadingMatch match(bins, history_size);
+std::optional<HeadingMatch> HeadingMatch::Make(const Query& query,
+                                               const History& history,
+                                               const RecentPath<D>& recent) {
+  if (history.heading_bins == nullptr ||
+      history.heading_bins->size() < history.size) {
+    return std::nullopt;
+  }
+  HeadingMatch match(*history.heading_bins, history.size);
   const ShapeFilter<D>& filter = recent.filter();
-  const double end = graph.pose(query).heading;
+  const double end = query.graph.pose(query.node).heading;
   const double radians = InHeadingBins(1.0);
   const double straying = radians * radians * filter.headings().straying;
   double variance = radians * radians * filter.headings().end;
@@ -42,8 +42,8 @@ std::optional<HeadingMatch> HeadingMatch::Make(const PoseGraph& graph,
        k += kHeadingsApart) {
     variance += noise;
     HeadingStep step;
-    step.turn = static_cast<std::uint8_t>(
-        std::lround(InHeadingBins(graph.pose(query - k).heading - end)));
+    step.turn = static_cast<std::uint8_t>(std::lround(
+        InHeadingBins(query.graph.pose(query.node - k).heading - end)));
     step.information = static_cast<float>(1.0 / (variance + straying));
     step.gain = static_cast<float>(variance / (variance + straying));
     variance *= straying / (variance + straying);
@@ -81,15 +81,9 @@ void HeadingMatch::Bound(std::size_t block, Direction direction,
   BoundRatios(bins, steps_[IndexOf(direction)], least_, kMostSlips, most);
 }
 
-template std::optional<HeadingMatch> HeadingMatch::Make<3>(const PoseGraph&,
-                                                           const HeadingBins&,
-                                                           const RecentPath<3>&,
-                                                           NodeIndex,
-                                                           NodeIndex);
-template std::optional<HeadingMatch> HeadingMatch::Make<4>(const PoseGraph&,
-                                                           const HeadingBins&,
-                                                           const RecentPath<4>&,
-                                                           NodeIndex,
-                                                           NodeIndex);
+template std::optional<HeadingMatch> HeadingMatch::Make<3>(
+    const Query&, const History&, const RecentPath<3>&);
+template std::optional<HeadingMatch> HeadingMatch::Make<4>(
+    const Query&, const History&, const RecentPath<4>&);
 
 }  // namespace revisit::core

@@ -25,7 +25,9 @@
 #include "core/drive/heading_bins.h"
 #include "core/drive/pose_graph.h"
 #include "core/search/alignment/heading_kernel.h"
+#include "core/search/alignment/history.h"
 #include "core/search/alignment/log_similarity.h"
+#include "core/search/alignment/query.h"
 #include "core/search/alignment/recent_path.h"
 
 namespace revisit::core {
@@ -34,14 +36,12 @@ inline constexpr NodeIndex kMostSlips = 2;
 
 class HeadingMatch {
  public:
-  // Paths lie in [0, history_size). Nothing where the recent path is too short
-  // to tell. The bins must outlive this. REQUIRES: they have the history.
+  // Nothing where the history's headings are not known, or the recent path,
+  // that of the query, is too short to tell. The bins must outlive this.
   template <int D>
-  static std::optional<HeadingMatch> Make(const PoseGraph& graph,
-                                          const HeadingBins& bins,
-                                          const RecentPath<D>& recent,
-                                          NodeIndex query,
-                                          NodeIndex history_size);
+  static std::optional<HeadingMatch> Make(const Query& query,
+                                          const History& history,
+                                          const RecentPath<D>& recent);
 
   // For each node of a block, the most that the log-likelihood ratio of a path
   // from it can come to.

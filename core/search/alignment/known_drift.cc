@@ -84,29 +84,27 @@ StateMatrix<D> KnownDrift<D>::CrossWith(NodeIndex i,
 }
 
 template <int D>
-std::optional<KnownDrift<D>> KnownDrift<D>::Make(const PoseGraph& graph,
+std::optional<KnownDrift<D>> KnownDrift<D>::Make(const Query& query,
                                                  const SimilarityModel& model,
-                                                 const ConfirmedLoop& loop,
-                                                 NodeIndex query) {
+                                                 const ConfirmedLoop& loop) {
   assert(model.correlation.noise().closures_show_drift);
   if (loop.measured) {
-    if (auto known = Make(graph, model, Measured(loop), query)) return known;
+    if (auto known = Make(query, model, Measured(loop))) return known;
   }
-  return Make(graph, model, Unmeasured(graph, model, loop), query);
+  return Make(query, model, Unmeasured(query.graph, model, loop));
 }
 
 template <int D>
-std::optional<KnownDrift<D>> KnownDrift<D>::Make(const PoseGraph& graph,
+std::optional<KnownDrift<D>> KnownDrift<D>::Make(const Query& query,
                                                  const SimilarityModel& model,
-                                                 const Closure& closure,
-                                                 NodeIndex query) {
+                                                 const Closure& closure) {
   const LoopEnd<D>& c = closure.query;
   const LoopEnd<D>& m = closure.matched;
   // The pose of a closure at the query's own node may lie behind it.
   const LoopEnd<D>& last = m.index > c.index ? m : c;
   if (!GrowsForward(closure, m, c) ||
-      !(last.index == query ||
-        GrowsForward(closure, last, EndAt<D>(graph, query)))) {
+      !(last.index == query.node ||
+        GrowsForward(closure, last, EndAt<D>(query.graph, query.node)))) {
     return std::nullopt;
   }
   const bool c_is_later = c.index > m.index;
@@ -118,8 +116,9 @@ std::optional<KnownDrift<D>> KnownDrift<D>::Make(const PoseGraph& graph,
           earlier.pose, later.pose, earlier.covariance, later.covariance);
   closure.AddTolerance(&covariance);
   if (!PositiveDefinite<D>(covariance)) return std::nullopt;
-  KnownDrift known(graph, closure, model.inflation * model.inflation);
-  known.query_part_ = known.CrossWith(query, c) - known.CrossWith(query, m);
+  KnownDrift known(query.graph, closure, model.inflation * model.inflation);
+  known.query_part_ =
+      known.CrossWith(query.node, c) - known.CrossWith(query.node, m);
   known.information_ =
       Eigen::LDLT<StateMatrix<D>>(covariance).solve(StateMatrix<D>::Identity());
   return known;

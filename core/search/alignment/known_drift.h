@@ -22,6 +22,7 @@
 #include "core/geometry/state_matrix.h"
 #include "core/noise/similarity_model.h"
 #include "core/search/alignment/log_similarity.h"
+#include "core/search/alignment/query.h"
 #include "core/search/alignment/similarity_kernel.h"
 
 namespace revisit::core {
@@ -39,7 +40,7 @@ struct LoopEnd {
   StateMatrix<D> covariance;
 };
 
-// The drift between one query node and any other node.
+// The drift between the query and any other node of the asking drive.
 template <int D>
 class KnownDrift {
  public:
@@ -53,10 +54,9 @@ class KnownDrift {
   // REQUIRES: NoiseModel::closures_show_drift: S is that of dead reckoning, in
   // O(1). The errors of other models have (nearly) decorrelated from the
   // closure's by the time it could be used.
-  static std::optional<KnownDrift> Make(const PoseGraph& graph,
+  static std::optional<KnownDrift> Make(const Query& query,
                                         const SimilarityModel& model,
-                                        const ConfirmedLoop& loop,
-                                        NodeIndex query);
+                                        const ConfirmedLoop& loop);
 
   // The known drift in the form that the kernel takes.
   KnownDriftTerms Terms() const;
@@ -84,10 +84,9 @@ class KnownDrift {
                             const ConfirmedLoop& loop);
   static bool GrowsForward(const Closure& closure, const LoopEnd<D>& a,
                            const LoopEnd<D>& b);
-  static std::optional<KnownDrift> Make(const PoseGraph& graph,
+  static std::optional<KnownDrift> Make(const Query& query,
                                         const SimilarityModel& model,
-                                        const Closure& closure,
-                                        NodeIndex query);
+                                        const Closure& closure);
 
   KnownDrift(const PoseGraph& graph, const Closure& closure,
              double variance_scale)

@@ -54,15 +54,14 @@ Direction DirectionBeyond(const PoseGraph& graph, NodeIndex near, NodeIndex far,
 // defined in the class: searches are some 5 % slower without.
 
 template <int D>
-PathWalk<D>::PathWalk(const PoseGraph& graph, const RecentPath<D>& recent,
-                      NodeIndex history_size, Direction direction,
-                      bool over_loops, PoseTable* table)
-    : graph_(graph),
+PathWalk<D>::PathWalk(const History& history, const RecentPath<D>& recent,
+                      Direction direction, bool over_loops, PoseTable* table)
+    : graph_(history.graph),
       recent_(recent),
-      size_(history_size),
+      size_(history.size),
       direction_(direction),
       table_(*table),
-      has_loops_(over_loops && graph.has_loop_edges()) {
+      has_loops_(over_loops && graph_.has_loop_edges()) {
   best_.change.certainty = recent.certainties();
   best_.change.cosine = std::cos(recent.heading());
   best_.change.sine = std::sin(recent.heading());

@@ -21,6 +21,7 @@
 
 #include "core/drive/pose_graph.h"
 #include "core/geometry/state_matrix.h"
+#include "core/search/alignment/history.h"
 #include "core/search/alignment/log_similarity.h"
 #include "core/search/alignment/pose_table.h"
 #include "core/search/alignment/recent_path.h"
@@ -80,11 +81,11 @@ struct WalkStart {
 template <int D>
 class PathWalk {
  public:
-  // The history is [0, history_size). `over_loops`: whether paths are walked
-  // over confirmed loop closures. All must outlive this.
-  PathWalk(const PoseGraph& graph, const RecentPath<D>& recent,
-           NodeIndex history_size, Direction direction, bool over_loops,
-           PoseTable* table);
+  // `over_loops`: whether paths are walked over the history's confirmed loop
+  // closures. The history's graph, the recent path and the table, that of the
+  // history, must outlive this.
+  PathWalk(const History& history, const RecentPath<D>& recent,
+           Direction direction, bool over_loops, PoseTable* table);
 
   // Whether a path is of no use, neither as it was when it was best nor however
   // it goes on.

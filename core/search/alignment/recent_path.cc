@@ -5,16 +5,15 @@
 namespace revisit::core {
 
 template <int D>
-RecentPath<D>::RecentPath(const PoseGraph& graph, const RelativeModel& model,
-                          NodeIndex query, std::int64_t steps)
-    : filter_(graph, model.motion_history, query, steps,
+RecentPath<D>::RecentPath(const Query& query, const RelativeModel& model)
+    : filter_(query.graph, query.motion_history, query.node, query.steps,
               model.similarity.correlation, model.shape,
               model.similarity.tolerance, model.spacing_meters,
               model.similarity.inflation),
-      heading_(graph.pose(query).heading),
+      heading_(query.graph.pose(query.node).heading),
       turn_(TurnAbout<D>(heading_)),
       weight_(ShapeWeight(model.shape, model.spacing_meters)),
-      steps_(static_cast<std::size_t>(steps)),
+      steps_(static_cast<std::size_t>(query.steps)),
       certainties_(steps_.size() * kMostEntries) {
   for (std::size_t t = steps_.size(); t-- > 0;) {
     const auto number = static_cast<std::int64_t>(t);

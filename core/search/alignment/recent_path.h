@@ -1,6 +1,6 @@
 // The recent path as a relative alignment compares it with the history: its
 // shape filter, in the forms that the kernels take. Computed once per query and
-// shared by all paths of the history, in both directions.
+// shared by all paths of all histories, in both directions.
 #ifndef REVISIT_CORE_SEARCH_ALIGNMENT_RECENT_PATH_H_
 #define REVISIT_CORE_SEARCH_ALIGNMENT_RECENT_PATH_H_
 
@@ -8,9 +8,9 @@
 #include <cstdint>
 #include <vector>
 
-#include "core/drive/pose_graph.h"
 #include "core/geometry/pose.h"
 #include "core/geometry/state_matrix.h"
+#include "core/search/alignment/query.h"
 #include "core/search/alignment/relative_model.h"
 #include "core/search/alignment/shape_filter.h"
 #include "core/search/alignment/similarity_kernel.h"
@@ -24,9 +24,7 @@ inline constexpr double kLeastUncertaintyLeft = 1e-3;
 template <int D>
 class RecentPath {
  public:
-  // The `steps` nodes that end at `query`. REQUIRES: they lie in one segment.
-  RecentPath(const PoseGraph& graph, const RelativeModel& model,
-             NodeIndex query, std::int64_t steps);
+  RecentPath(const Query& query, const RelativeModel& model);
 
   // Nodes of the path.
   std::int64_t size() const { return filter_.size(); }

@@ -50,11 +50,15 @@
 #include <functional>
 #include <memory>
 #include <optional>
+#include <utility>
 #include <vector>
 
 #include "core/drive/pose_graph.h"
+#include "core/search/alignment/found_ends.h"
+#include "core/search/alignment/history.h"
 #include "core/search/alignment/log_similarity.h"
 #include "core/search/alignment/path_walk.h"
+#include "core/search/alignment/query.h"
 #include "core/search/alignment/relative_model.h"
 #include "core/search/alignment/scored_ends.h"
 #include "core/search/alignment/viterbi.h"
@@ -62,29 +66,24 @@
 
 namespace revisit::core {
 
-// The best path back from one history node.
-struct ShapeMatch {
-  double log_likelihood_ratio = 0.0;
-  // Sum over its steps.
-  double squared_innovations = 0.0;
-  // (d + a)^T (Gamma + R - A)^-1 (d + a): for the end's difference as estimated
-  // from the whole path.
-  double squared_end_difference = 0.0;
-  // The scale, times SimilarityModel::inflation, that Gamma has there: that of
-  // the most probable part of the mixture.
-  double scale = 1.0;
-  // Steps of the recent path that it covers; 0 for the end alone.
-  std::int64_t steps = 0;
-};
-
-// Keeps the parts that all alignments of one query share, so that the second
-// alignment need not find them anew. Starts empty.
+// Keeps the parts that all alignments of one query with one history share, so
+// that the second alignment need not find them anew. Starts empty.
 struct AlignmentParts {
   std::shared_ptr<const void> parts;
 };
 
 class RelativeAlignment {
  public:
+  // Walks the best path back from an end once more.
+  using Trace = std::function<std::vector<PathStep>(Direction, NodeIndex)>;
+
+  // What was found, by IndexOf(direction).
+  RelativeAlignment(std::array<MatchedEnds, 2> found, NodeIndex considered,
+                    Trace trace)
+      : found_(std::move(found)),
+        considered_(considered),
+        trace_(std::move(trace)) {}
+
   // Ends with their log-odds, sorted by node, without those whose Gamma is
   // ill-conditioned and those for which another stands. Empty for a direction
   // that was not sought.
@@ -113,35 +112,23 @@ class RelativeAlignment {
   NodeIndex considered() const { return considered_; }
 
  private:
-  template <int D>
-  friend std::optional<RelativeAlignment> AlignRelativeIn(
-      const PoseGraph&, const RelativeModel&, NodeIndex, std::int64_t,
-      NodeIndex, const ShouldStop&, AlignmentParts*);
-
-  // The ends that were found in one direction, with a match for each.
-  struct Found {
-    ScoredEnds ends;
-    std::vector<ShapeMatch> matches;
-    std::vector<double> odds_by_scale;
-  };
-
-  std::array<Found, 2> found_;
-  std::function<std::vector<PathStep>(Direction, NodeIndex)> trace_;
+  std::array<MatchedEnds, 2> found_;
   NodeIndex considered_ = 0;
+  Trace trace_;
 };
 
-// Aligns the `steps` nodes that end at `query` with the history [0,
-// history_size). Time O(steps * history_size) at most, less where shapes differ
-// early, and less still where ends are pruned. Returns nothing if told to stop.
-// REQUIRES: 1 <= steps <= query + 1; history_size <= query; the recent path
-// lies in one segment, and may begin in the history; the graph outlives the
-// answer. `parts`, if not null, are empty or come from an alignment with the
-// same graph, indexes, query, steps and history, and a model with the same
+// Aligns the recent path of the query with the history. Time O(steps *
+// history's size) at most, less where shapes differ early, and less still where
+// ends are pruned. Returns nothing if told to stop. REQUIRES: the recent path
+// lies in one segment, and may begin in the history; the history's graph
+// outlives the answer. `parts`, if not null, are empty or come from an
+// alignment of the same query and history, and a model with the same
 // similarity, shape and spacings.
-std::optional<RelativeAlignment> AlignRelative(
-    const PoseGraph& graph, const RelativeModel& model, NodeIndex query,
-    std::int64_t steps, NodeIndex history_size, const ShouldStop& should_stop,
-    AlignmentParts* parts = nullptr);
+std::optional<RelativeAlignment> AlignRelative(const Query& query,
+                                               const History& history,
+                                               const RelativeModel& model,
+                                               const ShouldStop& should_stop,
+                                               AlignmentParts* parts = nullptr);
 
 }  // namespace revisit::core
 

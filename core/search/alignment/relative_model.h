@@ -72,8 +72,6 @@ struct RelativeModel {
   bool over_loops = true;
   // Whether ends tell their odds under each scale (RelativeAlignment).
   bool tell_scales = false;
-  // Ranges whose nodes may not be ends. May overlap.
-  std::vector<NodeRange> not_sought;
   // Ends are left out whose odds are below this share (given as its logarithm)
   // of the greatest odds, or of a new place's odds of 1 if these are more.
   // Above -infinity, the search skips such ends where it can rule them out
@@ -82,13 +80,8 @@ struct RelativeModel {
   double least_log_share = kImpossible;
   // Ends whose log-odds are surely less than this are sampled (relative.h).
   // kImpossible where each is looked at, as where neighbours do not err alike
-  // (NoiseModel). Takes the indexes
-  // below.
+  // (NoiseModel). Takes the history's indexes.
   double most_log_odds_sampled = kImpossible;
-  // Indexes of the graph, or null. The first saves measuring the graph's motion
-  // anew, the second saves looking at every node.
-  const MotionHistory* motion_history = nullptr;
-  const BlockBounds* block_bounds = nullptr;
 };
 
 // The term that turns a log-similarity in Gaussian form into log-odds against a

@@ -45,17 +45,15 @@ constexpr double kAroundSlack = 0.5 * (0.25 + 1.0);
 // and the maximum of L(s) - 1/2 s^T B^-1 s over s bounds what the shift can
 // gain. The other half, w Q / 4, stays with the path (Walkers::kNeeded).
 template <int D>
-SearchBounds<D>::SearchBounds(const PoseGraph& graph,
+SearchBounds<D>::SearchBounds(const Query& query, const History& history,
                               const RelativeModel& model,
-                              const RecentPath<D>& recent, NodeIndex query,
-                              NodeIndex history_size)
-    : graph_(graph),
+                              const RecentPath<D>& recent)
+    : query_(query),
+      history_(history),
       model_(model),
       recent_(recent),
-      query_(query),
-      size_(history_size),
       constant_(LogNewPlaceTerm(model) - recent.filter().join_cost()),
-      stride_(StrideOf(history_size)) {
+      stride_(StrideOf(history.size)) {
   PackLower<D>(
       recent.ToFrame((2.0 / recent.weight()) * recent.filter().EndShift()),
       change_bound_.shift);
@@ -103,7 +101,7 @@ template <int D>
 auto SearchBounds<D>::BlocksToSearch() const -> Blocks {
   std::vector<std::size_t> order;
   const std::optional<Regions> regions = FindRegions();
-  const std::size_t all = BlocksOf(size_);
+  const std::size_t all = BlocksOf(history_.size);
   if (regions) {
     for (std::size_t k = all; k-- > regions->last;) order.push_back(k);
     AddNear(*regions, &order);
@@ -113,7 +111,7 @@ auto SearchBounds<D>::BlocksToSearch() const -> Blocks {
     for (std::size_t k = all; k-- > 0;) order.push_back(k);
   }
   Blocks blocks;
-  const std::size_t sampled = SamplesEnds() ? FullBlocksBefore() : 0;
+  const std::size_t sampled = SamplesEnds() ? BlocksBefore() : 0;
   for (const std::size_t k : order) {
     (k < sampled ? blocks.sampled : blocks.all).push_back(k);
   }
@@ -133,9 +131,9 @@ void SearchBounds<D>::AddNear(const Regions& regions,
                               std::vector<std::size_t>* blocks) const {
   const auto begin = static_cast<std::ptrdiff_t>(blocks->size());
   for (const Region& region : regions.of_scales) {
-    model_.block_bounds->VisitNear(
+    history_.block_bounds->VisitNear(
         region.of_blocks, regions.first, regions.last, [&](std::size_t k) {
-          if (HoldsNear(region.of_nodes, graph_.block(k))) {
+          if (HoldsNear(region.of_nodes, history_.graph.block(k))) {
             blocks->push_back(k);
           }
         });
@@ -160,13 +158,15 @@ void SearchBounds<D>::AddNear(const Regions& regions,
 // Sorts by the distance of the query from one node of each block.
 template <int D>
 void SearchBounds<D>::SortByDistance(std::vector<std::size_t>* blocks) const {
-  const Pose query = graph_.pose(query_);
+  const Pose query =
+      history_.relation.InHistory(query_.graph.pose(query_.node));
   std::vector<std::pair<double, std::size_t>> order;
   order.reserve(blocks->size());
   for (const std::size_t k : *blocks) {
     const auto first = static_cast<NodeIndex>(k * NodeBlock::kSize);
     constexpr auto kMiddle = static_cast<NodeIndex>(NodeBlock::kSize / 2);
-    const Pose pose = graph_.pose(std::min(first + kMiddle, size_ - 1));
+    const Pose pose =
+        history_.graph.pose(std::min(first + kMiddle, history_.size - 1));
     order.emplace_back(std::hypot(pose.x - query.x, pose.y - query.y), k);
   }
   std::sort(order.begin(), order.end());
@@ -179,7 +179,8 @@ template <int D>
 auto SearchBounds<D>::FindRegions() const -> std::optional<Regions> {
   const SimilarityModel& similarity = model_.similarity;
   const DifferenceForm form = similarity.correlation.noise().form;
-  if (model_.least_log_share == kImpossible || model_.block_bounds == nullptr) {
+  const BlockBounds* const block_bounds = history_.block_bounds;
+  if (model_.least_log_share == kImpossible || block_bounds == nullptr) {
     return std::nullopt;
   }
   // A loop closure's drift moves the ends elsewhere, and without a closed form
@@ -192,10 +193,10 @@ auto SearchBounds<D>::FindRegions() const -> std::optional<Regions> {
   const std::optional<double> log_determinant = LeastLogDeterminant(tolerance);
   if (!log_determinant) return std::nullopt;
   Regions regions;
-  regions.last = std::min(model_.block_bounds->size(), FullBlocksBefore());
+  regions.last = std::min(block_bounds->size(), BlocksBefore());
   if (form == DifferenceForm::kGrown) {
     regions.first =
-        model_.block_bounds->FirstGrowing(graph_, query_, regions.last);
+        history_.relation.FirstGrowing(query_, *block_bounds, regions.last);
   }
   if (regions.first == regions.last) return std::nullopt;
   const auto add = [&](const WeighedScale& scale) {
@@ -234,9 +235,10 @@ auto SearchBounds<D>::RegionOf(const WeighedScale& scale,
       similarity.correlation.noise().form == DifferenceForm::kGrown;
   const double inflation = similarity.inflation * scale.scale;
   const double claimed = inflation * inflation;
-  const Covariance covariance = graph_.covariance(query_);
+  const Covariance covariance = query_.graph.covariance(query_.node);
   const StateMatrix<D>& shift = recent_.filter().EndShift();
-  const Pose query = graph_.pose(query_);
+  const Pose query =
+      history_.relation.InHistory(query_.graph.pose(query_.node));
   // R + l / w.
   const double of_neither =
       position_variance +
@@ -284,19 +286,6 @@ std::optional<double> SearchBounds<D>::LeastLogDeterminant(
     return whole->log_determinant + D * std::log(kLeastUncertaintyLeft);
   }
   return std::nullopt;
-}
-
-// Full blocks of the history that lie well before the query. Most queries lie
-// well behind their history, but sequences may be short.
-template <int D>
-std::size_t SearchBounds<D>::FullBlocksBefore() const {
-  constexpr auto kBlock = static_cast<NodeIndex>(NodeBlock::kSize);
-  std::size_t blocks = static_cast<std::size_t>(size_) / NodeBlock::kSize;
-  while (blocks > 0 &&
-         (static_cast<NodeIndex>(blocks) + 1) * kBlock + kBlock / 2 > query_) {
-    --blocks;
-  }
-  return blocks;
 }
 
 template class SearchBounds<3>;

@@ -11,6 +11,8 @@
 #include "core/drive/block_bounds.h"
 #include "core/drive/pose_graph.h"
 #include "core/geometry/state_matrix.h"
+#include "core/search/alignment/history.h"
+#include "core/search/alignment/query.h"
 #include "core/search/alignment/recent_path.h"
 #include "core/search/alignment/relative_model.h"
 #include "core/search/alignment/similarity_kernel.h"
@@ -20,23 +22,22 @@ namespace revisit::core {
 // Error of a bound due to rounding, nats.
 inline constexpr double kBoundSlack = 1e-6;
 
-// Where ends are sampled, one of so many is looked at: of more, where the
-// history has more than kEnoughSamples of them. A block has whole strides.
+// Where ends are sampled, one of a stride of nodes is looked at. A stride has
+// kLeastStride nodes, and twice as many again and again while a history would
+// have more than kEnoughSamples samples. A block has whole strides.
 inline constexpr std::size_t kLeastStride = 16;
 inline constexpr std::size_t kEnoughSamples = 16384;
 
-// Whose log-odds a bound is for: those of one end, or of all ends within half a
-// stride of it, as far as errors there are about the same.
+// A bound is for the log-odds of one end, or for those of all ends within half
+// a stride of it, as far as errors there are about the same.
 enum class BoundOf { kEnd, kEndsAround };
 
 template <int D>
 class SearchBounds {
  public:
-  // The ends are sought in [0, history_size). The graph, the model and the
-  // recent path must outlive this.
-  SearchBounds(const PoseGraph& graph, const RelativeModel& model,
-               const RecentPath<D>& recent, NodeIndex query,
-               NodeIndex history_size);
+  // All must outlive this. The recent path is that of the query.
+  SearchBounds(const Query& query, const History& history,
+               const RelativeModel& model, const RecentPath<D>& recent);
 
   // The part of the log-odds that is the same for all ends.
   double constant() const { return constant_; }
@@ -49,10 +50,10 @@ class SearchBounds {
   // there the nearest come first, which are likely to have the greatest odds.
   // The greater these, the fewer other ends need be walked from.
   struct Blocks {
-    // Whose ends are to be looked at one by one.
+    // The blocks whose ends are to be looked at one by one.
     std::vector<std::size_t> all;
-    // Whose ends may be sampled: full blocks well before the query. None where
-    // the model does not sample ends.
+    // The blocks whose ends may be sampled: full ones well before the query.
+    // There are none where the model does not sample ends.
     std::vector<std::size_t> sampled;
   };
   Blocks BlocksToSearch() const;
@@ -66,7 +67,7 @@ class SearchBounds {
                  BlockColumn* most, BlockColumn* unshifted) const;
 
  private:
-  // Where ends of one scale may lie.
+  // Where ends of one scale may lie, in the history's frame.
   struct Region {
     BlockBounds::Region of_blocks;
     NodeRegion of_nodes;
@@ -86,14 +87,15 @@ class SearchBounds {
   void AddNear(const Regions& regions, std::vector<std::size_t>* blocks) const;
   std::optional<double> LeastLogDeterminant(
       const StateMatrix<D>& tolerance) const;
-  std::size_t FullBlocksBefore() const;
+  std::size_t BlocksBefore() const {
+    return history_.relation.BlocksBefore(query_, history_.size);
+  }
   void SortByDistance(std::vector<std::size_t>* blocks) const;
 
-  const PoseGraph& graph_;
+  const Query& query_;
+  const History& history_;
   const RelativeModel& model_;
   const RecentPath<D>& recent_;
-  const NodeIndex query_;
-  const NodeIndex size_;
   const double constant_;
   const std::size_t stride_;
   ChangeBound change_bound_;

@@ -103,67 +103,79 @@ std::optional<Alignment> Align(const PoseGraph& graph,
   Alignment alignment;
   alignment.steps_ = steps;
   alignment.FindJunctions(graph, history_size);
-  const std::vector<Alignment::Junction>& junctions = alignment.junctions_;
   const std::size_t blocks = BlocksOf(history_size);
   const auto past_first = static_cast<std::size_t>(steps - 1);
   alignment.from_after_.resize(past_first * blocks * kStepBytes);
-  alignment.from_junction_.resize(past_first * junctions.size());
+  alignment.from_junction_.resize(past_first * alignment.junctions_.size());
 
   // Score of the best path to each node, less the cost of leaving it, with room
   // for a neighbour at either end.
   std::vector<double> leaving(blocks * kBlock + 2);
   std::vector<double> next(leaving.size());
-  const double log_two = std::log(2.0);
   for (std::int64_t t = 0; t < steps; ++t) {
     if (t > 0 && should_stop && should_stop()) return std::nullopt;
-    // The last node of a path is not left.
-    const bool last = t + 1 == steps;
-    const double cost = last ? 0.0 : log_two;
     std::size_t junction = 0;
-    VisitEmissions(
-        graph, model, query - steps + 1 + t, history_size,
-        [&](NodeIndex first, const double* emission) {
-          const auto at = static_cast<std::size_t>(first);
-          if (t == 0) {
-            for (std::size_t k = 0; k < kBlock; ++k) {
-              next[1 + at + k] = emission[k] - cost;
-            }
-          } else {
-            const std::size_t row =
-                static_cast<std::size_t>(t - 1) * blocks * kStepBytes;
-            StepBlock(leaving.data() + 1 + at, emission, cost,
-                      next.data() + 1 + at,
-                      alignment.from_after_.data() + row + at / 8);
-          }
-          for (; junction < junctions.size() &&
-                 junctions[junction].node <
-                     first + static_cast<NodeIndex>(kBlock);
-               ++junction) {
-            const Alignment::Junction& here = junctions[junction];
-            double best = t == 0 ? 0.0 : kImpossible;
-            if (t > 0) {
-              NodeIndex from = kNowhere;
-              for (const NodeIndex i : here.neighbours) {
-                const double over = leaving[1 + static_cast<std::size_t>(i)];
-                if (over > best) {
-                  best = over;
-                  from = i;
-                }
-              }
-              alignment.from_junction_[static_cast<std::size_t>(t - 1) *
-                                           junctions.size() +
-                                       junction] = from;
-            }
-            const auto node = static_cast<std::size_t>(here.node);
-            next[1 + node] =
-                best + emission[node - at] - (last ? 0.0 : here.log_degree);
-          }
-        });
+    VisitEmissions(graph, model, query - steps + 1 + t, history_size,
+                   [&](NodeIndex first, const double* emission) {
+                     alignment.StepBlockAt(t, first, emission, leaving, &next);
+                     alignment.StepJunctionsOf(t, first, emission, leaving,
+                                               &junction, &next);
+                   });
     std::swap(leaving, next);
   }
   alignment.scores_.assign(leaving.begin() + 1,
                            leaving.begin() + 1 + history_size);
   return alignment;
+}
+
+// Takes step t to the nodes of the block that begins at node `first`, as if
+// each had the nodes before and after it for neighbours.
+void Alignment::StepBlockAt(std::int64_t t, NodeIndex first,
+                            const double* emission,
+                            const std::vector<double>& leaving,
+                            std::vector<double>* next) {
+  const auto at = static_cast<std::size_t>(first);
+  // The last node of a path is not left.
+  const double cost = t + 1 == steps_ ? 0.0 : std::log(2.0);
+  double* const to = next->data() + 1 + at;
+  if (t == 0) {
+    for (std::size_t k = 0; k < kBlock; ++k) to[k] = emission[k] - cost;
+    return;
+  }
+  const std::size_t blocks = (leaving.size() - 2) / kBlock;
+  const std::size_t row = static_cast<std::size_t>(t - 1) * blocks * kStepBytes;
+  StepBlock(leaving.data() + 1 + at, emission, cost, to,
+            from_after_.data() + row + at / 8);
+}
+
+// Takes step t to the junctions of that block, from `junction` on, and leaves
+// that at the first behind it.
+void Alignment::StepJunctionsOf(std::int64_t t, NodeIndex first,
+                                const double* emission,
+                                const std::vector<double>& leaving,
+                                std::size_t* junction,
+                                std::vector<double>* next) {
+  const NodeIndex end = first + static_cast<NodeIndex>(kBlock);
+  for (; *junction < junctions_.size() && junctions_[*junction].node < end;
+       ++*junction) {
+    const Junction& here = junctions_[*junction];
+    double best = t == 0 ? 0.0 : kImpossible;
+    if (t > 0) {
+      NodeIndex from = kNowhere;
+      for (const NodeIndex i : here.neighbours) {
+        const double over = leaving[1 + static_cast<std::size_t>(i)];
+        if (over > best) {
+          best = over;
+          from = i;
+        }
+      }
+      from_junction_[static_cast<std::size_t>(t - 1) * junctions_.size() +
+                     *junction] = from;
+    }
+    const double cost = t + 1 == steps_ ? 0.0 : here.log_degree;
+    (*next)[1 + static_cast<std::size_t>(here.node)] =
+        best + emission[here.node - first] - cost;
+  }
 }
 
 }  // namespace revisit::core

@@ -64,6 +64,12 @@ class Alignment {
   };
 
   void FindJunctions(const PoseGraph& graph, NodeIndex size);
+  void StepBlockAt(std::int64_t t, NodeIndex first, const double* emission,
+                   const std::vector<double>& leaving,
+                   std::vector<double>* next);
+  void StepJunctionsOf(std::int64_t t, NodeIndex first, const double* emission,
+                       const std::vector<double>& leaving,
+                       std::size_t* junction, std::vector<double>* next);
   NodeIndex Before(std::int64_t t, NodeIndex node) const;
 
   std::vector<double> scores_;

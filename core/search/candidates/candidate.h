@@ -3,6 +3,7 @@
 #ifndef REVISIT_CORE_SEARCH_CANDIDATES_CANDIDATE_H_
 #define REVISIT_CORE_SEARCH_CANDIDATES_CANDIDATE_H_
 
+#include <cstddef>
 #include <cstdint>
 #include <optional>
 #include <utility>
@@ -51,6 +52,8 @@ struct Candidate {
   // node, less a constant. Relative: log-odds of the matched node against all
   // places not seen before.
   double score = 0.0;
+  // The matched node, and the index of its history among those searched.
+  std::size_t history = 0;
   NodeIndex matched = 0;
   Direction direction = Direction::kSame;
   Verdict verdict = Verdict::kIllConditioned;
@@ -87,18 +90,19 @@ enum class EmptyReason {
 struct CandidateSet {
   // The node that was asked about; nothing if the graph is empty.
   std::optional<NodeIndex> query;
-  // Best score first; of equal scores, the same direction first, and of one
-  // direction the lower node.
+  // Best score first; of equal scores, the first history first, of one history
+  // the same direction first, and of one direction the lower node.
   std::vector<Candidate> candidates;
   EmptyReason empty_reason = EmptyReason::kNotEmpty;
-  // Nodes of the history that were compared with the query, and nodes that were
-  // not: all of the latter together have odds below 1e-6 against a new place.
+  // Nodes of all histories that were compared with the query, and nodes that
+  // were not: all of the latter together have odds below 1e-6 against a new
+  // place.
   NodeIndex nodes_considered = 0;
   NodeIndex nodes_pruned = 0;
   // The number that SearchOptions::max_comparisons bounds.
   std::int64_t comparisons = 0;
   // For relative alignments only: posterior probability that the query is at no
-  // place of the history.
+  // place of any history.
   std::optional<double> new_place_probability;
   // The scale that the drive has shown, where that was used.
   std::optional<ScaleEstimate> scale;

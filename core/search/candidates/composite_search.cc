@@ -1,5 +1,6 @@
 #include "core/search/candidates/composite_search.h"
 
+#include <cassert>
 #include <optional>
 #include <utility>
 
@@ -22,10 +23,10 @@ Candidate MakeCandidate(const SearchTask& task, const SimilarityModel& model,
   candidate.direction = model.direction;
   candidate.inflation = model.inflation;
   candidate.difference =
-      DecideAt(task.graph, model, gate, task.query, end.matched);
+      DecideAt(task.query, task.histories.front(), model, gate, end.matched);
   candidate.verdict = GateAlone(candidate.difference.gate.verdict);
   if (task.options.tell_paths) {
-    NodeIndex recent = task.query - task.steps + 1;
+    NodeIndex recent = task.query.node - task.query.steps + 1;
     for (const NodeIndex matched : alignment.Path(end.matched)) {
       candidate.path.emplace_back(recent++, matched);
     }
@@ -36,19 +37,23 @@ Candidate MakeCandidate(const SearchTask& task, const SimilarityModel& model,
 }  // namespace
 
 absl::Status SearchComposite(const SearchTask& task, CandidateSet* set) {
+  assert(task.histories.size() == 1);
   const SearchOptions& options = task.options;
-  const Gate gate(task.similarity.state_space, options.gate_probability);
+  const Query& query = task.query;
+  const History& past = task.histories.front();
+  const SimilarityModel& similarity = task.prior.similarity;
+  const Gate gate(similarity.state_space, options.gate_probability);
   for (const Direction direction : Directions(options.direction)) {
-    SimilarityModel model = task.similarity;
+    SimilarityModel model = similarity;
     model.direction = direction;
     const std::optional<Alignment> alignment =
-        Align(task.graph, model, task.query, task.steps, task.history_size,
+        Align(query.graph, model, query.node, query.steps, past.size,
               task.should_stop);
     if (!alignment) return StoppedError();
     ScoredEnds ends = PossibleEnds(alignment->scores());
-    for (const NodeRange& nodes : task.not_sought) StrikeOut(nodes, &ends);
+    for (const NodeRange& nodes : past.not_sought) StrikeOut(nodes, &ends);
     for (const RankedEnd& end :
-         RankEnds(task.graph, ends, options.candidate_separation_meters,
+         RankEnds(query.graph, ends, options.candidate_separation_meters,
                   options.max_candidates)) {
       set->candidates.push_back(
           MakeCandidate(task, model, gate, *alignment, end));

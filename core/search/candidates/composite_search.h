@@ -8,7 +8,9 @@
 
 namespace revisit::core {
 
-// Fills in the candidates. Returns CANCELLED if told to stop.
+// Fills in the candidates. Returns CANCELLED if told to stop. REQUIRES: the
+// only history is the asking drive's own past, with its graph; the paper's
+// alignment takes the two for one.
 absl::Status SearchComposite(const SearchTask& task, CandidateSet* set);
 
 }  // namespace revisit::core

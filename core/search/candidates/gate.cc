@@ -12,13 +12,14 @@ namespace revisit::core {
 namespace {
 
 template <int D>
-GatedDifference DecideAt(const PoseGraph& graph, const SimilarityModel& model,
-                         const Gate& gate, NodeIndex query, NodeIndex matched) {
+GatedDifference DecideIn(const Query& query, const History& history,
+                         const SimilarityModel& model, const Gate& gate,
+                         NodeIndex matched) {
   GatedDifference result;
-  result.difference =
-      PassDifference(model, graph.pose(query), graph.pose(matched));
+  result.difference = history.relation.Difference(
+      model, query.graph.pose(query.node), history.graph.pose(matched));
   const StateMatrix<D> gamma =
-      DifferenceCovariance<D>(graph, model.correlation, query, matched);
+      history.relation.CovarianceOf<D>(query, model.correlation, matched);
   result.covariance =
       ToCovariance<D>((model.inflation * model.inflation) * gamma);
   const std::optional<QuadraticForm> terms = Evaluate<D>(
@@ -65,11 +66,12 @@ GateResult Gate::IllConditioned() const {
   return result;
 }
 
-GatedDifference DecideAt(const PoseGraph& graph, const SimilarityModel& model,
-                         const Gate& gate, NodeIndex query, NodeIndex matched) {
+GatedDifference DecideAt(const Query& query, const History& history,
+                         const SimilarityModel& model, const Gate& gate,
+                         NodeIndex matched) {
   return model.state_space == StateSpace::kPlanar
-             ? DecideAt<3>(graph, model, gate, query, matched)
-             : DecideAt<4>(graph, model, gate, query, matched);
+             ? DecideIn<3>(query, history, model, gate, matched)
+             : DecideIn<4>(query, history, model, gate, matched);
 }
 
 }  // namespace revisit::core

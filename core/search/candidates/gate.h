@@ -5,6 +5,9 @@
 #include "core/drive/pose_graph.h"
 #include "core/geometry/pose.h"
 #include "core/noise/similarity_model.h"
+#include "core/search/alignment/history.h"
+#include "core/search/alignment/log_similarity.h"
+#include "core/search/alignment/query.h"
 #include "core/search/candidates/gate_result.h"
 
 namespace revisit::core {
@@ -32,8 +35,10 @@ class Gate {
   double threshold_;
 };
 
-GatedDifference DecideAt(const PoseGraph& graph, const SimilarityModel& model,
-                         const Gate& gate, NodeIndex query, NodeIndex matched);
+// `matched` is a node of the history's graph.
+GatedDifference DecideAt(const Query& query, const History& history,
+                         const SimilarityModel& model, const Gate& gate,
+                         NodeIndex matched);
 
 }  // namespace revisit::core
 

@@ -1,6 +1,7 @@
 #include "core/search/candidates/mark_search.h"
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 #include <cstddef>
 #include <optional>
@@ -36,46 +37,65 @@ class OddsByScale {
   ByScale log_sums_;
 };
 
+// An end in one of the directions.
+struct DirectedEnd {
+  Direction direction = Direction::kSame;
+  NodeIndex node = 0;
+};
+
+// The most probable end, if any is possible; of equal ones, the first.
+std::optional<DirectedEnd> MostProbable(const RelativeAlignment& alignment,
+                                        SearchDirection sought) {
+  std::optional<DirectedEnd> most_probable;
+  double best = kImpossible;
+  for (const Direction direction : Directions(sought)) {
+    for (const ScoredEnd& end : alignment.ends(direction)) {
+      if (!(end.score > best)) continue;
+      best = end.score;
+      most_probable = {direction, end.node};
+    }
+  }
+  return most_probable;
+}
+
+// Adds the odds of the ends [first, last) of a direction.
+void AddOdds(const RelativeAlignment& alignment, Direction direction,
+             std::size_t first, std::size_t last, OddsByScale* sum) {
+  const ScoredEnds& ends = alignment.ends(direction);
+  const std::vector<double>& odds = alignment.odds_by_scale(direction);
+  for (std::size_t i = first; i < last; ++i) {
+    sum->Add(&odds[i * kScales], ends[i].nodes);
+  }
+}
+
 }  // namespace
 
 absl::StatusOr<MarkEvidence> SearchMark(const SearchTask& task) {
+  assert(task.histories.size() == 1);
   RelativeModel model = ModelOf(task, kPrunedMarkShare);
   model.last_confirmed.reset();
   model.over_loops = false;
   model.scales = DriveBelief().AllScales();
   model.tell_scales = true;
+  const History& past = task.histories.front();
   const std::optional<RelativeAlignment> alignment =
-      AlignRelative(task.graph, model, task.query, task.steps,
-                    task.history_size, task.should_stop, task.parts);
+      AlignRelative(task.query, past, model, task.should_stop,
+                    task.parts == nullptr ? nullptr : &task.parts->front());
   if (!alignment) return StoppedError();
   MarkEvidence evidence;
-  evidence.node = task.query;
-  double best = kImpossible;
-  Direction best_direction = Direction::kSame;
+  evidence.node = task.query.node;
   OddsByScale all;
   for (const Direction direction : Directions(task.options.direction)) {
-    const ScoredEnds& ends = alignment->ends(direction);
-    const std::vector<double>& odds = alignment->odds_by_scale(direction);
-    for (std::size_t i = 0; i < ends.size(); ++i) {
-      all.Add(&odds[i * kScales], ends[i].nodes);
-      if (!(ends[i].score > best)) continue;
-      best = ends[i].score;
-      best_direction = direction;
-      evidence.matched = ends[i].node;
-    }
+    AddOdds(*alignment, direction, 0, alignment->ends(direction).size(), &all);
   }
   OddsByScale near;
-  if (evidence.matched) {
-    const ScoredEnds& ends = alignment->ends(best_direction);
-    const std::vector<double>& odds = alignment->odds_by_scale(best_direction);
-    const EndsAround around =
-        FindEndsAround(ends, *evidence.matched, [&](NodeIndex i) {
-          return task.graph.MetersApart(i, *evidence.matched) <=
-                 kMatchRadiusMeters;
+  if (const auto best = MostProbable(*alignment, task.options.direction)) {
+    evidence.matched = best->node;
+    const EndsAround around = FindEndsAround(
+        alignment->ends(best->direction), best->node, [&](NodeIndex i) {
+          return past.graph.MetersApart(i, best->node) <= kMatchRadiusMeters;
         });
-    for (std::size_t i = around.first; i < around.last; ++i) {
-      near.Add(&odds[i * kScales], ends[i].nodes);
-    }
+    AddOdds(*alignment, best->direction, around.first, around.last, &near);
   }
   for (std::size_t k = 0; k < kScales; ++k) {
     evidence.log_evidence[k] = LogAdd(0.0, all[k]);

@@ -12,7 +12,8 @@ namespace revisit::core {
 
 // Searches with nothing believed yet but the prior of the scale, and without
 // closures: the answer depends on the poses up to the query alone. Returns
-// CANCELLED if told to stop. REQUIRES: the task's options are MarkOptions().
+// CANCELLED if told to stop. REQUIRES: the task's options are MarkOptions(),
+// and its only history is the drive's own past.
 absl::StatusOr<MarkEvidence> SearchMark(const SearchTask& task);
 
 }  // namespace revisit::core

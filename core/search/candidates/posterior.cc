@@ -15,34 +15,40 @@ constexpr double kNegligible = 38.0;
 
 }  // namespace
 
-Posterior::Posterior(const PoseGraph& graph, double stretch_radius_meters,
-                     std::array<ScoredEnds, 2> log_odds)
-    : graph_(graph),
-      radius_(stretch_radius_meters),
-      log_odds_(std::move(log_odds)) {
+Posterior::Posterior(std::vector<LogOdds> histories,
+                     double stretch_radius_meters)
+    : histories_(std::move(histories)), radius_(stretch_radius_meters) {
   double greatest = 0.0;
-  for (const ScoredEnds& ends : log_odds_) {
-    for (const ScoredEnd& end : ends) greatest = std::max(greatest, end.score);
+  for (const LogOdds& history : histories_) {
+    for (const ScoredEnds& ends : history.ends) {
+      for (const ScoredEnd& end : ends) {
+        greatest = std::max(greatest, end.score);
+      }
+    }
   }
   double sum = std::exp(-greatest);
   // Most terms are so small that the sum stays the same double.
   double largest = -greatest;
-  for (const ScoredEnds& ends : log_odds_) {
-    for (const ScoredEnd& end : ends) {
-      const double term = end.score - greatest;
-      if (term < largest - kNegligible) continue;
-      largest = std::max(largest, term);
-      sum += end.nodes * std::exp(term);
+  const auto add = [&](const ScoredEnd& end) {
+    const double term = end.score - greatest;
+    if (term < largest - kNegligible) return;
+    largest = std::max(largest, term);
+    sum += end.nodes * std::exp(term);
+  };
+  for (const LogOdds& history : histories_) {
+    for (const ScoredEnds& ends : history.ends) {
+      std::for_each(ends.begin(), ends.end(), add);
     }
   }
   log_total_ = greatest + std::log(sum);
 }
 
-auto Posterior::Claim(Direction direction, NodeIndex j) -> Stretch {
-  ScoredEnds& ends = log_odds_[IndexOf(direction)];
-  const EndsAround around = FindEndsAround(ends, j, [&](NodeIndex i) {
-    return graph_.MetersApart(i, j) <= radius_;
-  });
+auto Posterior::Claim(std::size_t history, Direction direction, NodeIndex j)
+    -> Stretch {
+  const PoseGraph& graph = histories_[history].graph;
+  ScoredEnds& ends = histories_[history].ends[IndexOf(direction)];
+  const EndsAround around = FindEndsAround(
+      ends, j, [&](NodeIndex i) { return graph.MetersApart(i, j) <= radius_; });
   Stretch stretch{0.0, j, j};
   std::vector<double> claimed;
   for (std::size_t k = around.first; k < around.last; ++k) {

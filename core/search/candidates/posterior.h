@@ -1,9 +1,11 @@
-// How probable each place of the history is, against the other places and
+// How probable each place of the histories is, against the other places and
 // against a place not seen before.
 #ifndef REVISIT_CORE_SEARCH_CANDIDATES_POSTERIOR_H_
 #define REVISIT_CORE_SEARCH_CANDIDATES_POSTERIOR_H_
 
 #include <array>
+#include <cstddef>
+#include <vector>
 
 #include "core/drive/node_range.h"
 #include "core/drive/pose_graph.h"
@@ -26,15 +28,21 @@ inline double StretchRadiusMeters(const NoiseModel& noise) {
 // Share of the probability of a stretch that lies within its interval.
 inline constexpr double kIntervalShare = 0.9;
 
+// Log-odds of the nodes of one history against a new place, for each direction;
+// empty for a direction that was not sought. All histories have the same new
+// place, so that the odds of one add to those of the others. The graph is that
+// of the history, and must outlive this.
+struct LogOdds {
+  const PoseGraph& graph;
+  std::array<ScoredEnds, 2> ends;
+};
+
 class Posterior {
  public:
-  // Log-odds of the history nodes against a new place, for each direction;
-  // empty for a direction that was not sought. Stretches reach as far from
-  // their places. The graph must outlive this.
-  Posterior(const PoseGraph& graph, double stretch_radius_meters,
-            std::array<ScoredEnds, 2> log_odds);
+  // Stretches reach as far from their places.
+  Posterior(std::vector<LogOdds> histories, double stretch_radius_meters);
 
-  // Probability that the vehicle is at no place of the history.
+  // Probability that the vehicle is at no place of any history.
   double new_place() const { return Probability(0.0); }
 
   // The evidence that a place has claimed.
@@ -46,18 +54,17 @@ class Posterior {
     NodeIndex last = 0;
   };
 
-  // Claims for the place of j all nodes of its stretch that no other place has
-  // claimed before. So nodes that two neighbouring places
+  // Claims for the place of node j of a history all nodes of its stretch that
+  // no other place has claimed before. So nodes that two neighbouring places
   // share count for the first to claim. O(log n + nodes claimed).
-  Stretch Claim(Direction direction, NodeIndex j);
+  Stretch Claim(std::size_t history, Direction direction, NodeIndex j);
 
  private:
   double Probability(double log_odds) const;
 
-  const PoseGraph& graph_;
-  const double radius_;
   // kImpossible for nodes that are claimed.
-  std::array<ScoredEnds, 2> log_odds_;
+  std::vector<LogOdds> histories_;
+  const double radius_;
   // Logarithm of the sum of all odds, the new place's 1 among them.
   double log_total_ = 0.0;
 };

@@ -7,6 +7,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/drive/pose_graph.h"
 #include "core/noise/similarity_model.h"
 #include "core/search/alignment/relative.h"
 #include "core/search/candidates/gate.h"
@@ -41,12 +42,12 @@ class RelativeSearch {
         model_(ModelOf(task, pruned_share_)) {}
 
   absl::Status Run(CandidateSet* set) {
-    alignment_ =
-        AlignRelative(task_.graph, model_, task_.query, task_.steps,
-                      task_.history_size, task_.should_stop, task_.parts);
-    if (!alignment_) return StoppedError();
-    set->nodes_considered = alignment_->considered();
-    set->nodes_pruned = task_.history_size - alignment_->considered();
+    if (!Align()) return StoppedError();
+    set->nodes_considered = 0;
+    for (const RelativeAlignment& alignment : alignments_) {
+      set->nodes_considered += alignment.considered();
+    }
+    set->nodes_pruned = task_.history_size() - set->nodes_considered;
     int most = std::max(options_.max_candidates, kRankedFirst);
     std::vector<RankedPlace> places = Rank(most);
     // There are no odds where no covariance is well-conditioned.
@@ -57,7 +58,7 @@ class RelativeSearch {
       places = Rank(most);
       new_place = Claim(&places);
     }
-    const Rivals rivals(task_.graph, model_, std::move(places),
+    const Rivals rivals(task_.histories, model_, std::move(places),
                         static_cast<std::size_t>(options_.max_candidates));
     set->new_place_probability = new_place;
     set->candidates = Judge(rivals, new_place);
@@ -76,17 +77,41 @@ class RelativeSearch {
   }
 
  private:
-  // Best score first; of equal scores, the same direction first. Claim() gives
-  // nodes that several places could claim to the first of them.
+  // Aligns the query with one history after the other; alignments do not depend
+  // on each other. False if told to stop.
+  bool Align() {
+    alignments_.reserve(task_.histories.size());
+    for (std::size_t h = 0; h < task_.histories.size(); ++h) {
+      std::optional<RelativeAlignment> alignment = AlignRelative(
+          task_.query, task_.histories[h], model_, task_.should_stop,
+          task_.parts == nullptr ? nullptr : &(*task_.parts)[h]);
+      if (!alignment) return false;
+      alignments_.push_back(*std::move(alignment));
+    }
+    return true;
+  }
+
+  const ShapeMatch& MatchOf(const RankedPlace& place) const {
+    return alignments_[place.history].match(place.direction, place.end.matched);
+  }
+  const History& HistoryOf(const RankedPlace& place) const {
+    return task_.histories[place.history];
+  }
+
+  // Best score first; of equal scores, the first history first, and the same
+  // direction first. Claim() gives nodes that several places could claim to the
+  // first of them.
   std::vector<RankedPlace> Rank(int most_of_direction) const {
     std::vector<RankedPlace> places;
-    for (const Direction direction : Directions(options_.direction)) {
-      for (const RankedEnd& end :
-           RankEnds(task_.graph, alignment_->ends(direction),
-                    options_.candidate_separation_meters, most_of_direction)) {
-        places.push_back(
-            {direction, end,
-             alignment_->match(direction, end.matched).log_likelihood_ratio});
+    for (std::size_t h = 0; h < alignments_.size(); ++h) {
+      for (const Direction direction : Directions(options_.direction)) {
+        for (const RankedEnd& end : RankEnds(
+                 task_.histories[h].graph, alignments_[h].ends(direction),
+                 options_.candidate_separation_meters, most_of_direction)) {
+          places.push_back({h, direction, end});
+          places.back().log_likelihood_ratio =
+              MatchOf(places.back()).log_likelihood_ratio;
+        }
       }
     }
     std::stable_sort(places.begin(), places.end(),
@@ -99,13 +124,18 @@ class RelativeSearch {
   // Lets each place claim its nodes, the best place first. Returns the
   // probability of a new place.
   double Claim(std::vector<RankedPlace>* places) const {
+    std::vector<LogOdds> log_odds;
+    for (std::size_t h = 0; h < alignments_.size(); ++h) {
+      log_odds.push_back({task_.histories[h].graph,
+                          {alignments_[h].ends(Direction::kSame),
+                           alignments_[h].ends(Direction::kOpposite)}});
+    }
     Posterior posterior(
-        task_.graph, StretchRadiusMeters(model_.similarity.correlation.noise()),
-        {alignment_->ends(Direction::kSame),
-         alignment_->ends(Direction::kOpposite)});
+        std::move(log_odds),
+        StretchRadiusMeters(model_.similarity.correlation.noise()));
     for (RankedPlace& place : *places) {
       const Posterior::Stretch stretch =
-          posterior.Claim(place.direction, place.end.matched);
+          posterior.Claim(place.history, place.direction, place.end.matched);
       place.claimed = stretch.probability;
       place.first = stretch.first;
       place.last = stretch.last;
@@ -139,15 +169,15 @@ class RelativeSearch {
     const RankedPlace& place = rivals.places()[i];
     SimilarityModel similarity = model_.similarity;
     similarity.direction = place.direction;
-    similarity.inflation *=
-        alignment_->match(place.direction, place.end.matched).scale;
+    similarity.inflation *= MatchOf(place).scale;
     Candidate candidate;
     candidate.score = place.end.score;
+    candidate.history = place.history;
     candidate.matched = place.end.matched;
     candidate.direction = place.direction;
     candidate.inflation = similarity.inflation;
-    candidate.difference =
-        DecideAt(task_.graph, similarity, gate, task_.query, place.end.matched);
+    candidate.difference = DecideAt(task_.query, HistoryOf(place), similarity,
+                                    gate, place.end.matched);
     const double runner_up = rivals.RunnerUp(i);
     RelativeEvidence evidence = EvidenceOf(gate, place);
     evidence.probability = rivals.Probability(i);
@@ -165,8 +195,8 @@ class RelativeSearch {
   // The evidence that the alignment alone has for a place.
   RelativeEvidence EvidenceOf(const Gate& gate,
                               const RankedPlace& place) const {
-    const ShapeMatch& match =
-        alignment_->match(place.direction, place.end.matched);
+    const ShapeMatch& match = MatchOf(place);
+    const PoseGraph& graph = HistoryOf(place).graph;
     const double weight = ShapeWeight(model_.shape, model_.spacing_meters);
     const int dimensions = DegreesOfFreedom(model_.similarity.state_space);
     RelativeEvidence evidence;
@@ -177,10 +207,8 @@ class RelativeSearch {
     evidence.overlap_meters =
         static_cast<double>(match.steps) * model_.spacing_meters;
     evidence.log_likelihood_ratio = match.log_likelihood_ratio;
-    evidence.meters_before =
-        task_.graph.MetersApart(place.first, place.end.matched);
-    evidence.meters_after =
-        task_.graph.MetersApart(place.last, place.end.matched);
+    evidence.meters_before = graph.MetersApart(place.first, place.end.matched);
+    evidence.meters_after = graph.MetersApart(place.last, place.end.matched);
     return evidence;
   }
 
@@ -188,8 +216,8 @@ class RelativeSearch {
       const RankedPlace& place) const {
     std::vector<std::pair<NodeIndex, NodeIndex>> path;
     for (const PathStep& step :
-         alignment_->Path(place.direction, place.end.matched)) {
-      path.emplace_back(task_.query - step.t, step.node);
+         alignments_[place.history].Path(place.direction, place.end.matched)) {
+      path.emplace_back(task_.query.node - step.t, step.node);
     }
     std::reverse(path.begin(), path.end());
     return path;
@@ -199,7 +227,8 @@ class RelativeSearch {
   const SearchOptions& options_;
   const double pruned_share_;
   const RelativeModel model_;
-  std::optional<RelativeAlignment> alignment_;
+  // One for each history.
+  std::vector<RelativeAlignment> alignments_;
 };
 
 }  // namespace
@@ -207,27 +236,24 @@ class RelativeSearch {
 RelativeModel ModelOf(const SearchTask& task, double pruned_share) {
   const SearchOptions& options = task.options;
   RelativeModel model;
-  model.similarity = task.similarity;
+  model.similarity = task.prior.similarity;
   model.shape = options.shape;
   model.spacing_meters = task.node_spacing_meters;
   model.road_spacing_meters = options.road_spacing_meters;
   model.same_direction = options.direction != SearchDirection::kOpposite;
   model.opposite_direction = options.direction != SearchDirection::kSame;
   if (model.similarity.correlation.noise().closures_show_drift) {
-    model.last_confirmed = task.last_confirmed;
+    model.last_confirmed = task.prior.last_confirmed;
   }
-  if (task.belief) {
-    model.scales = task.belief->Scales();
-    model.drifts = task.belief->drifts();
+  if (task.prior.belief) {
+    model.scales = task.prior.belief->Scales();
+    model.drifts = task.prior.belief->drifts();
   }
-  model.not_sought = task.not_sought;
-  model.motion_history = &task.motion_history;
   if (pruned_share > 0.0) {
     const double ends =
         (model.same_direction && model.opposite_direction ? 2.0 : 1.0) *
-        static_cast<double>(task.history_size);
+        static_cast<double>(task.history_size());
     model.least_log_share = std::log(pruned_share / ends);
-    model.block_bounds = &task.block_bounds;
     model.most_log_odds_sampled = kMostLogOddsSampled;
   }
   return model;

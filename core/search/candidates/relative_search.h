@@ -19,8 +19,8 @@ inline constexpr double kPrunedShare = 1e-6;
 // off by some thousandths (tests/core/search/alignment/sampled_ends_test.cc).
 inline constexpr double kMostLogOddsSampled = -4.6;
 
-// The model of a task. Ends are pruned that have at most `pruned_share` of all
-// odds together; none if it is 0.
+// The model of a task. Ends of all histories are pruned that have at most
+// `pruned_share` of all odds together; none if it is 0.
 RelativeModel ModelOf(const SearchTask& task, double pruned_share);
 
 // Fills in the candidates and the probability of a new place; leaves that out

@@ -9,20 +9,31 @@
 
 namespace revisit::core {
 
-Rivals::Rivals(const PoseGraph& graph, const RelativeModel& model,
-               std::vector<RankedPlace> places, std::size_t answered)
+namespace {
+
+// Whether both are of one history, driven in one direction.
+bool AreAlongside(const RankedPlace& a, const RankedPlace& b) {
+  return a.history == b.history && a.direction == b.direction;
+}
+
+}  // namespace
+
+Rivals::Rivals(const std::vector<History>& histories,
+               const RelativeModel& model, std::vector<RankedPlace> places,
+               std::size_t answered)
     : places_(std::move(places)) {
+  const auto weigh = [&](std::size_t i) {
+    Weigh(histories[places_[i].history].graph, model, i);
+  };
   for (const RankedPlace& place : places_) {
     least_claimed_ = std::max(least_claimed_, kLeastRivalShare * place.claimed);
   }
   const std::size_t first =
       std::min(places_.size(), std::max(answered, kWeighed));
-  for (std::size_t i = 0; i < first; ++i) Weigh(graph, model, i);
+  for (std::size_t i = 0; i < first; ++i) weigh(i);
   for (std::size_t i = first;
        i < places_.size() && weighed_.size() < first + kWeighed; ++i) {
-    if (places_[i].claimed >= least_claimed_ && !IsLikeAny(i)) {
-      Weigh(graph, model, i);
-    }
+    if (places_[i].claimed >= least_claimed_ && !IsLikeAny(i)) weigh(i);
   }
 }
 
@@ -34,7 +45,7 @@ void Rivals::Weigh(const PoseGraph& graph, const RelativeModel& model,
     const RankedPlace& b = places_[j];
     if (j == place) {
       weighed.same[j] = 1.0;
-    } else if (a.direction == b.direction && b.claimed >= least_claimed_) {
+    } else if (AreAlongside(a, b) && b.claimed >= least_claimed_) {
       weighed.same[j] = SamePlaceProbability(
           graph, model, a.end.matched, b.end.matched,
           std::min(a.log_likelihood_ratio, b.log_likelihood_ratio));
@@ -58,7 +69,7 @@ double Rivals::Pooled(const PoseGraph& graph, const Weighed& weighed) const {
       places_.begin(),
       places_.begin() + static_cast<std::ptrdiff_t>(weighed.place),
       [&](const RankedPlace& better) {
-        return better.direction == place.direction &&
+        return AreAlongside(better, place) &&
                graph.MetersApart(better.end.matched, place.end.matched) <=
                    2.0 * kPlaceRadiusMeters;
       });

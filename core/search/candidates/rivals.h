@@ -4,7 +4,7 @@
 // Each place has claimed the probability of its own nodes (Posterior::Claim()).
 // Passes of one place speak for each other: to what a place has claimed comes
 // what every other has, times the probability that the two are the same place
-// (same_place.h).
+// (same_place.h). Places of different histories count as different.
 #ifndef REVISIT_CORE_SEARCH_CANDIDATES_RIVALS_H_
 #define REVISIT_CORE_SEARCH_CANDIDATES_RIVALS_H_
 
@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "core/drive/pose_graph.h"
+#include "core/search/alignment/history.h"
 #include "core/search/alignment/log_similarity.h"
 #include "core/search/alignment/relative_model.h"
 #include "core/search/candidates/ranking.h"
@@ -20,6 +21,8 @@ namespace revisit::core {
 
 // An end that was ranked, and what its alignment found.
 struct RankedPlace {
+  // Index of its history among those searched.
+  std::size_t history = 0;
   Direction direction = Direction::kSame;
   RankedEnd end;
   // ShapeMatch::log_likelihood_ratio.
@@ -44,7 +47,7 @@ class Rivals {
   // or kWeighed if these are more. A road that was driven hundreds of times has
   // as many: all of them count, while only those that are weighed cost time,
   // O(places) each.
-  Rivals(const PoseGraph& graph, const RelativeModel& model,
+  Rivals(const std::vector<History>& histories, const RelativeModel& model,
          std::vector<RankedPlace> places, std::size_t answered = 0);
 
   const std::vector<RankedPlace>& places() const { return places_; }
@@ -72,6 +75,7 @@ class Rivals {
   void Weigh(const PoseGraph& graph, const RelativeModel& model,
              std::size_t place);
   bool IsLikeAny(std::size_t place) const;
+  // The graph is that of the place's history.
   double Pooled(const PoseGraph& graph, const Weighed& weighed) const;
 
   std::vector<RankedPlace> places_;

@@ -2,6 +2,12 @@
 
 namespace revisit::core {
 
+NodeIndex SearchTask::history_size() const {
+  NodeIndex size = 0;
+  for (const History& history : histories) size += history.size;
+  return size;
+}
+
 std::vector<Direction> Directions(SearchDirection direction) {
   switch (direction) {
     case SearchDirection::kSame:

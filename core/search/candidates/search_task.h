@@ -2,7 +2,6 @@
 #ifndef REVISIT_CORE_SEARCH_CANDIDATES_SEARCH_TASK_H_
 #define REVISIT_CORE_SEARCH_CANDIDATES_SEARCH_TASK_H_
 
-#include <cstdint>
 #include <optional>
 #include <vector>
 
@@ -13,9 +12,10 @@
 #include "core/drive/node_range.h"
 #include "core/drive/pose_graph.h"
 #include "core/noise/similarity_model.h"
+#include "core/search/alignment/history.h"
 #include "core/search/alignment/log_similarity.h"
+#include "core/search/alignment/query.h"
 #include "core/search/alignment/relative.h"
-#include "core/search/alignment/scored_ends.h"
 #include "core/search/alignment/viterbi.h"
 #include "core/search/belief/drive_belief.h"
 #include "core/search/should_stop.h"
@@ -23,41 +23,31 @@
 
 namespace revisit::core {
 
-struct SearchTask {
-  SearchTask(const PoseGraph& of_graph, const MotionHistory& of_motion,
-             const BlockBounds& of_blocks, const SearchOptions& with_options,
-             const ShouldStop& stop)
-      : graph(of_graph),
-        motion_history(of_motion),
-        block_bounds(of_blocks),
-        options(with_options),
-        should_stop(stop) {}
-
-  const PoseGraph& graph;
-  // Indexes of the graph.
-  const MotionHistory& motion_history;
-  const BlockBounds& block_bounds;
-
-  const SearchOptions& options;
-  double node_spacing_meters = 0.0;
+// What is held for true before a search.
+struct SearchPrior {
   // The model that the options ask for, inflated. Its direction is ignored.
   SimilarityModel similarity;
-
-  // The `steps` nodes that end at `query` are sought in the history [0,
-  // history_size), but not as ends in `not_sought`. The history may hold the
-  // first of these nodes too.
-  NodeIndex query = 0;
-  std::int64_t steps = 0;
-  NodeIndex history_size = 0;
-  std::vector<NodeRange> not_sought;
   // The last loop closure whose nodes both lie at or before the query.
   std::optional<ConfirmedLoop> last_confirmed;
   // What the drive has shown before the query; nothing where that is not used.
   std::optional<DriveBelief> belief;
+};
 
+struct SearchTask {
+  // Nodes in all histories.
+  NodeIndex history_size() const;
+
+  // The query's path is sought in all of the histories, which may hold the
+  // first of its nodes too. What they refer to must outlive the search.
+  Query query;
+  std::vector<History> histories;
+  const SearchOptions& options;
+  double node_spacing_meters = 0.0;
+  SearchPrior prior;
   const ShouldStop& should_stop;
-  // The parts of an alignment of the same nodes with the same options, or null.
-  AlignmentParts* parts = nullptr;
+  // The parts of alignments of the same query with each of the histories, with
+  // the same options, or null.
+  std::vector<AlignmentParts>* parts = nullptr;
 };
 
 // The directions that a search looks in: the same direction first.

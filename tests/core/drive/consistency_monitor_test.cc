@@ -93,7 +93,8 @@ double InflationFound(std::mt19937_64& random, double inflation, int count,
     const ConfirmedLoop loop = pairs.Draw(random);
     SimilarityModel model = options.similarity;
     model.inflation = options.applied ? found : 1.0;
-    if (DecideAt(pairs.graph(), model, gate, loop.query, loop.matched)
+    if (DecideAt({pairs.graph(), loop.query}, {pairs.graph(), loop.query},
+                 model, gate, loop.matched)
             .gate.verdict != GateVerdict::kAccepted) {
       continue;
     }
@@ -206,9 +207,10 @@ TEST(ConsistencyTest, TellsTheMeanOfTheSquaresAsClaimed) {
   double sum = 0.0;
   for (int k = 0; k < 7; ++k) {
     confirmed.push_back(pairs.Draw(random));
-    sum += DecideAt(pairs.graph(), options.similarity,
-                    Gate(StateSpace::kSpatial, 0.95), confirmed.back().query,
-                    confirmed.back().matched)
+    const ConfirmedLoop& loop = confirmed.back();
+    sum += DecideAt({pairs.graph(), loop.query}, {pairs.graph(), loop.query},
+                    options.similarity, Gate(StateSpace::kSpatial, 0.95),
+                    loop.matched)
                .gate.squared_mahalanobis;
   }
   const Consistency consistency =

@@ -108,7 +108,7 @@ void ExpectConditionedChain(std::mt19937_64& random) {
   StateVector<D> difference = StateVector<D>::Zero();
   StateMatrix<D> known = gamma.cast<double>();
   const auto known_drift =
-      KnownDrift<D>::Make(drive.graph, model, {c, m, nullptr}, q);
+      KnownDrift<D>::Make({drive.graph, q}, model, {c, m, nullptr});
   ASSERT_TRUE(known_drift);
   known_drift->Apply(j, &difference, &known);
   ExpectKnown<D>(mean, covariance, gamma, difference, known);
@@ -149,7 +149,7 @@ void ExpectConditionedByMeasurement(std::mt19937_64& random) {
   StateVector<D> difference = StateVector<D>::Zero();
   StateMatrix<D> known = gamma.template cast<double>();
   const auto known_drift =
-      KnownDrift<D>::Make(graph, model, {c / 3, m / 3, measured}, query);
+      KnownDrift<D>::Make({graph, query}, model, {c / 3, m / 3, measured});
   ASSERT_TRUE(known_drift);
   known_drift->Apply(j, &difference, &known);
   ExpectKnown<D>(mean, covariance, gamma, difference, known);
@@ -194,7 +194,8 @@ TEST(KnownDriftTest, WhatAClosureHasShownHoldsForTheNodesNextToIt) {
     graph.AddNode(node, i == 0, std::nullopt);
   }
   const SimilarityModel model;
-  const auto known = KnownDrift<3>::Make(graph, model, {150, 50, nullptr}, 155);
+  const auto known =
+      KnownDrift<3>::Make({graph, 155}, model, {150, 50, nullptr});
   ASSERT_TRUE(known);
   StateVector<3> difference =
       ToVector<3>(Difference(graph.node(155).pose, graph.node(55).pose));
@@ -220,10 +221,10 @@ TEST(KnownDriftTest, SaysNothingWhereCovariancesHaveShrunk) {
     graph.AddNode(node, i == 0, std::nullopt);
   }
   const SimilarityModel model;
-  EXPECT_TRUE(KnownDrift<3>::Make(graph, model, {8, 6, nullptr}, 10));
-  EXPECT_TRUE(KnownDrift<3>::Make(graph, model, {3, 1, nullptr}, 4));
-  EXPECT_FALSE(KnownDrift<3>::Make(graph, model, {8, 2, nullptr}, 10));
-  EXPECT_FALSE(KnownDrift<3>::Make(graph, model, {3, 1, nullptr}, 10));
+  EXPECT_TRUE(KnownDrift<3>::Make({graph, 10}, model, {8, 6, nullptr}));
+  EXPECT_TRUE(KnownDrift<3>::Make({graph, 4}, model, {3, 1, nullptr}));
+  EXPECT_FALSE(KnownDrift<3>::Make({graph, 10}, model, {8, 2, nullptr}));
+  EXPECT_FALSE(KnownDrift<3>::Make({graph, 10}, model, {3, 1, nullptr}));
 }
 
 TEST(KnownDriftTest, AClosureCountsAsUnmeasuredWhereCovariancesShrinkByMore) {
@@ -241,8 +242,8 @@ TEST(KnownDriftTest, AClosureCountsAsUnmeasuredWhereCovariancesShrinkByMore) {
   const SimilarityModel model;
   const auto measured = RandomMeasurement(random, EstimateAt(graph, 8),
                                           EstimateAt(graph, 2), 0.2);
-  const auto with = KnownDrift<3>::Make(graph, model, {8, 2, measured}, 10);
-  const auto without = KnownDrift<3>::Make(graph, model, {8, 2, nullptr}, 10);
+  const auto with = KnownDrift<3>::Make({graph, 10}, model, {8, 2, measured});
+  const auto without = KnownDrift<3>::Make({graph, 10}, model, {8, 2, nullptr});
   ASSERT_TRUE(with && without);
   EXPECT_EQ(with->Terms().information[0][0],
             without->Terms().information[0][0]);

@@ -29,20 +29,19 @@ struct PruningSeen {
   std::int64_t seen_places = 0;
 };
 
-bool IsSought(const RelativeModel& model, NodeIndex node) {
-  return std::none_of(model.not_sought.begin(), model.not_sought.end(),
+bool IsSought(const History& history, NodeIndex node) {
+  return std::none_of(history.not_sought.begin(), history.not_sought.end(),
                       [&](const NodeRange& nodes) {
                         return nodes.first <= node && node < nodes.last;
                       });
 }
 
 // The greatest log-odds of the ends that are sought and of a new place.
-double GreatestLogOdds(const RelativeModel& model,
-                       const RelativeAlignment& dense) {
+double GreatestLogOdds(const History& history, const RelativeAlignment& dense) {
   double greatest = 0.0;
   for (const Direction direction : {Direction::kSame, Direction::kOpposite}) {
     for (const ScoredEnd& end : dense.ends(direction)) {
-      if (IsSought(model, end.node)) greatest = std::max(greatest, end.score);
+      if (IsSought(history, end.node)) greatest = std::max(greatest, end.score);
     }
   }
   return greatest;
@@ -76,12 +75,13 @@ std::vector<NodeRange> RandomRanges(std::mt19937_64& random,
 // sought, bit for bit, except for ends with lower log-odds.
 void ExpectTheSameButForLowOdds(std::mt19937_64& random, const Town& town,
                                 PruningSeen* seen) {
-  const auto dense = AlignRelative(town.graph, town.model, town.query,
-                                   town.steps, town.history, nullptr);
+  const auto dense =
+      AlignRelative(town.Asked(), town.Past(), town.model, nullptr);
   ASSERT_TRUE(dense);
   RelativeModel model = town.model;
-  model.not_sought = RandomRanges(random, town.history);
-  const double greatest = GreatestLogOdds(model, *dense);
+  History history = town.Past();
+  history.not_sought = RandomRanges(random, town.history);
+  const double greatest = GreatestLogOdds(history, *dense);
   model.least_log_share = LeastLogShare(random, *dense, greatest);
   const double least_log_odds = model.least_log_share + greatest;
   SCOPED_TRACE(::testing::Message()
@@ -90,9 +90,8 @@ void ExpectTheSameButForLowOdds(std::mt19937_64& random, const Town& town,
   seen->seen_places += greatest > 0.0;
   BlockBounds bounds(model.similarity.state_space);
   bounds.Extend(town.graph);
-  if (UniformInt(random, 0, 4) > 0) model.block_bounds = &bounds;
-  const auto pruned = AlignRelative(town.graph, model, town.query, town.steps,
-                                    town.history, nullptr);
+  if (UniformInt(random, 0, 4) > 0) history.block_bounds = &bounds;
+  const auto pruned = AlignRelative(town.Asked(), history, model, nullptr);
   ASSERT_TRUE(pruned);
 
   std::set<NodeIndex> kept;
@@ -105,8 +104,8 @@ void ExpectTheSameButForLowOdds(std::mt19937_64& random, const Town& town,
                    << " score " << of_all.score);
       const bool found = end != ends.end() && end->node == of_all.node;
       // Written so that NaN is left out.
-      ASSERT_EQ(found,
-                IsSought(model, of_all.node) && of_all.score >= least_log_odds);
+      ASSERT_EQ(found, IsSought(history, of_all.node) &&
+                           of_all.score >= least_log_odds);
       if (!found) {
         ++seen->left_out;
         continue;

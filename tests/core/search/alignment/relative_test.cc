@@ -42,8 +42,8 @@ struct Seen {
 
 void ExpectWhatListsFind(const Town& town, Seen* seen) {
   SCOPED_TRACE(town.Text());
-  const auto alignment = AlignRelative(town.graph, town.model, town.query,
-                                       town.steps, town.history, nullptr);
+  const auto alignment =
+      AlignRelative(town.Asked(), town.Past(), town.model, nullptr);
   ASSERT_TRUE(alignment);
   oracle::SurvivorLists lists(town.graph, town.model, town.query, town.steps,
                               town.history);
@@ -140,6 +140,63 @@ TEST(AlignRelativeTest,
   EXPECT_GT(seen.ends, 200);
 }
 
+void ExpectTheSame(const RelativeAlignment& a, const RelativeAlignment& b) {
+  EXPECT_EQ(a.considered(), b.considered());
+  for (const Direction direction : {Direction::kSame, Direction::kOpposite}) {
+    const ScoredEnds& ends = a.ends(direction);
+    ASSERT_EQ(ends.size(), b.ends(direction).size());
+    for (std::size_t i = 0; i < ends.size(); ++i) {
+      const ScoredEnd& other = b.ends(direction)[i];
+      ASSERT_EQ(ends[i].node, other.node);
+      EXPECT_EQ(ends[i].score, other.score);
+      EXPECT_EQ(a.match(direction, ends[i].node).squared_end_difference,
+                b.match(direction, ends[i].node).squared_end_difference);
+      EXPECT_EQ(a.Path(direction, ends[i].node),
+                b.Path(direction, ends[i].node));
+    }
+  }
+}
+
+// More nodes, and other loop closures.
+PoseGraph DrivenOn(const Town& town) {
+  PoseGraph graph = town.graph;
+  for (const auto& [a, b] : town.graph.LoopEdges()) graph.RemoveLoopEdge(a, b);
+  for (NodeIndex i = 0; i < 200; ++i) {
+    Node node = graph.node(i);
+    const Node last = graph.node(graph.size() - 1);
+    node.sequence = last.sequence + 1;
+    node.travelled_meters = last.travelled_meters + town.model.spacing_meters;
+    graph.AddNode(node, i == 0, graph.transition(i));
+  }
+  graph.AddLoopEdge(0, town.history - 1);
+  graph.AddLoopEdge(town.query, graph.size() - 1);
+  return graph;
+}
+
+TEST(AlignRelativeTest, ACopyOfTheGraphAnswersAsTheGraphDidThen) {
+  std::mt19937_64 random = SeededRandom();
+  int of_other_loops = 0;
+  for (int trial = 0; trial < 200; ++trial) {
+    const Town town = RandomTown(random, 4);
+    SCOPED_TRACE(town.Text());
+    const auto then =
+        AlignRelative(town.Asked(), town.Past(), town.model, nullptr);
+    const PoseGraph now = DrivenOn(town);
+    const Query query{now, town.query, town.steps};
+    const auto again = AlignRelative(query, town.Past(), town.model, nullptr);
+    ASSERT_TRUE(then && again);
+    ExpectTheSame(*again, *then);
+    // With the drive as it is now, paths are walked over other closures.
+    const auto anew =
+        AlignRelative(query, {now, town.history}, town.model, nullptr);
+    for (const ScoredEnd& end : anew->ends(Direction::kSame)) {
+      of_other_loops += anew->Path(Direction::kSame, end.node) !=
+                        then->Path(Direction::kSame, end.node);
+    }
+  }
+  EXPECT_GT(of_other_loops, 100);
+}
+
 // A winding road as nodes without drift, each pass a segment of its own.
 class WindingRoadTest : public ::testing::Test {
  protected:
@@ -187,8 +244,8 @@ class WindingRoadTest : public ::testing::Test {
   RelativeAlignment Align(NodeIndex first) {
     model_.similarity.correlation = CorrelationModel::kIndependent;
     const NodeIndex query = graph_.size() - 1;
-    return *AlignRelative(graph_, model_, query, query - first + 1, first,
-                          nullptr);
+    return *AlignRelative({graph_, query, query - first + 1}, {graph_, first},
+                          model_, nullptr);
   }
 
   // The node of the best end.
@@ -396,7 +453,8 @@ TEST_F(WindingRoadTest, StopsWhenTold) {
   const NodeIndex recent = Add(100.0, 150.0);
   const NodeIndex query = graph_.size() - 1;
   int asked = 0;
-  EXPECT_FALSE(AlignRelative(graph_, model_, query, query - recent + 1, recent,
+  EXPECT_FALSE(AlignRelative({graph_, query, query - recent + 1},
+                             {graph_, recent}, model_,
                              [&asked] { return ++asked == 3; }));
   EXPECT_EQ(asked, 3);
 }

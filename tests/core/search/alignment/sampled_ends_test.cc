@@ -43,17 +43,22 @@ struct TownSearch {
     model.spacing_meters = bench::kSpacing;
     model.same_direction = model.opposite_direction = true;
     model.over_loops = false;
-    model.motion_history = &history;
-    model.block_bounds = &bounds;
   }
 
-  NodeIndex HistoryAt(NodeIndex query) const { return query - kSteps + 1; }
+  Query QueryAt(NodeIndex node) const {
+    return {Roads(), node, kSteps, &history};
+  }
+  History PastOf(const Query& query) const {
+    return {Roads(), query.node - query.steps + 1,
+            {},      &history.heading_bins(),
+            &bounds, {}};
+  }
 
   RelativeAlignment Align(NodeIndex query, bool sampled) const {
     RelativeModel asked = model;
     asked.least_log_share = std::log(1e-6 / static_cast<double>(query));
     if (sampled) asked.most_log_odds_sampled = kMostSampled;
-    return *AlignRelative(Roads(), asked, query, kSteps, HistoryAt(query),
+    return *AlignRelative(QueryAt(query), PastOf(QueryAt(query)), asked,
                           nullptr);
   }
 
@@ -156,14 +161,12 @@ TEST(HeadingMatchTest, NoPathGainsMoreUnlessItSlipsMore) {
   std::size_t paths = 0;
   double to_spare = 0.0;
   for (const NodeIndex query : Queries()) {
-    const RecentPath<3> recent(Roads(), search.model, query, kSteps);
-    const NodeIndex size = search.HistoryAt(query);
-    const auto match = HeadingMatch::Make<3>(
-        Roads(), search.history.heading_bins(), recent, query, size);
+    const Query asked = search.QueryAt(query);
+    const RecentPath<3> recent(asked, search.model);
+    const History past = search.PastOf(asked);
+    const auto match = HeadingMatch::Make<3>(asked, past, recent);
     ASSERT_TRUE(match);
-    RelativeModel exhaustive = search.model;
-    const auto all =
-        AlignRelative(Roads(), exhaustive, query, kSteps, size, nullptr);
+    const auto all = AlignRelative(asked, past, search.model, nullptr);
     for (const Direction way : {Direction::kSame, Direction::kOpposite}) {
       BlockRatios most;
       for (const ScoredEnd& end : all->ends(way)) {
@@ -190,9 +193,11 @@ TEST(HeadingMatchTest, NoPathGainsMoreUnlessItSlipsMore) {
 
 TEST(HeadingMatchTest, ShortPathsTellNothing) {
   const TownSearch search;
-  const RecentPath<3> recent(Roads(), search.model, 1000, 5);
-  EXPECT_FALSE(HeadingMatch::Make<3>(Roads(), search.history.heading_bins(),
-                                     recent, 1000, 900));
+  Query asked = search.QueryAt(1000);
+  const History past = search.PastOf(asked);
+  asked.steps = 5;
+  const RecentPath<3> recent(asked, search.model);
+  EXPECT_FALSE(HeadingMatch::Make<3>(asked, past, recent));
 }
 
 TEST(SampledEndsTest, VerdictsAreThoseOfExhaustiveSearches) {

@@ -157,7 +157,7 @@ void ExpectDifferencesOfPairs(std::mt19937_64& random, ValuesSeen* seen) {
   model.inflation = UniformInt(random, 0, 1) ? Uniform(random, 1.0, 3.0) : 1.0;
   model.tolerance = {Uniform(random, 0.1, 4.0), Uniform(random, 0.01, 0.3)};
   const auto known = model.correlation == CorrelationModel::kDeadReckoning
-                         ? KnownDrift<D>::Make(graph, model, loop, query)
+                         ? KnownDrift<D>::Make({graph, query}, model, loop)
                          : std::nullopt;
   const KernelQuery kernel_query = MakeKernelQuery(graph, model, query);
 

@@ -76,6 +76,9 @@ struct Town {
   std::int64_t steps = 0;
   NodeIndex history = 0;
 
+  Query Asked() const { return {graph, query, steps}; }
+  History Past() const { return {graph, history}; }
+
   std::string Text() const {
     std::ostringstream text;
     text << graph.size() << " nodes, query " << query << ", " << steps

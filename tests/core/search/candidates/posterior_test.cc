@@ -109,8 +109,9 @@ TEST(PosteriorTest, IsOddsOverAllOdds) {
         all += std::exp(static_cast<long double>(log_odds[way].back()));
       }
     }
-    Posterior posterior(graph, kStretchRadiusMeters,
-                        trial % 2 == 0 ? Possible(log_odds) : All(log_odds));
+    Posterior posterior(
+        {{graph, trial % 2 == 0 ? Possible(log_odds) : All(log_odds)}},
+        kStretchRadiusMeters);
     const auto near = [](double actual, long double expected) {
       EXPECT_NEAR(actual, static_cast<double>(expected),
                   1e-12 * static_cast<double>(expected) + 1e-300);
@@ -124,7 +125,7 @@ TEST(PosteriorTest, IsOddsOverAllOdds) {
       const NodeIndex j = UniformInt(random, 0, static_cast<int>(size) - 1);
       const auto before = taken;
       const Posterior::Stretch claimed = posterior.Claim(
-          way == 0 ? Direction::kSame : Direction::kOpposite, j);
+          0, way == 0 ? Direction::kSame : Direction::kOpposite, j);
       near(claimed.probability,
            ClaimLiterally(graph, log_odds, way, j, &taken));
       ExpectInterval(graph, log_odds[way], way, j, claimed, before);
@@ -137,20 +138,21 @@ TEST(PosteriorTest, IsOddsOverAllOdds) {
 
 TEST(PosteriorTest, SurvivesOddsBeyondDoubleRange) {
   const PoseGraph graph = EvenGraph(3, 100.0);
-  Posterior posterior(graph, kStretchRadiusMeters,
-                      Possible({{{5000.0, 4999.0, kImpossible}, {}}}));
+  Posterior posterior(
+      {{graph, Possible({{{5000.0, 4999.0, kImpossible}, {}}})}},
+      kStretchRadiusMeters);
   EXPECT_EQ(posterior.new_place(), 0.0);
-  EXPECT_NEAR(posterior.Claim(Direction::kSame, 0).probability,
+  EXPECT_NEAR(posterior.Claim(0, Direction::kSame, 0).probability,
               1.0 / (1.0 + std::exp(-1.0)), 1e-12);
-  EXPECT_EQ(posterior.Claim(Direction::kSame, 2).probability, 0.0);
+  EXPECT_EQ(posterior.Claim(0, Direction::kSame, 2).probability, 0.0);
 }
 
 TEST(PosteriorTest, WithoutAnyPossiblePlaceItIsNew) {
   const PoseGraph graph = EvenGraph(2, 2.0);
-  Posterior posterior(graph, kStretchRadiusMeters,
-                      All({{{kImpossible, kImpossible}, {}}}));
+  Posterior posterior({{graph, All({{{kImpossible, kImpossible}, {}}})}},
+                      kStretchRadiusMeters);
   EXPECT_EQ(posterior.new_place(), 1.0);
-  EXPECT_EQ(posterior.Claim(Direction::kSame, 0).probability, 0.0);
+  EXPECT_EQ(posterior.Claim(0, Direction::kSame, 0).probability, 0.0);
 }
 
 }  // namespace

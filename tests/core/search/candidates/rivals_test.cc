@@ -22,14 +22,14 @@ PoseGraph ThreeRoads() {
 
 RankedPlace Claiming(NodeIndex node, double claimed,
                      Direction direction = Direction::kSame) {
-  return {direction, {node, 0.0}, 0.0, claimed};
+  return {0, direction, {node, 0.0}, 0.0, claimed};
 }
 
 Rivals RivalsOf(const PoseGraph& graph,
                 const std::vector<RankedPlace>& places) {
   RelativeModel model;
   model.similarity.correlation = CorrelationModel::kIndependent;
-  return Rivals(graph, model, places);
+  return Rivals({{graph, graph.size()}}, model, places);
 }
 
 TEST(RivalsTest, APlaceAloneHasWhatItClaims) {

@@ -1,0 +1,30 @@
+// What a search asks: whether the vehicle, at the end of this path, is where it
+// has been before, and where that is.
+#ifndef REVISIT_CORE_SEARCH_ALIGNMENT_QUERY_H_
+#define REVISIT_CORE_SEARCH_ALIGNMENT_QUERY_H_
+
+#include <cstdint>
+
+#include "core/drive/motion_history.h"
+#include "core/drive/pose_graph.h"
+
+namespace revisit::core {
+
+// All that an answer tells of poses and errors is in the frame of the asking
+// drive.
+struct Query {
+  // The drive that asks; outlives the query.
+  const PoseGraph& graph;
+  // The node at which it asks. Nodes behind it have no part in the answer.
+  NodeIndex node = 0;
+  // The recent path: the `steps` nodes that end at the node. REQUIRES: they lie
+  // in one segment.
+  std::int64_t steps = 1;
+  // The index of the graph, or null. It saves measuring the graph's motion
+  // anew.
+  const MotionHistory* motion_history = nullptr;
+};
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_SEARCH_ALIGNMENT_QUERY_H_

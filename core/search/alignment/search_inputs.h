@@ -1,0 +1,32 @@
+// What the searches of an alignment in either direction have in common.
+#ifndef REVISIT_CORE_SEARCH_ALIGNMENT_SEARCH_INPUTS_H_
+#define REVISIT_CORE_SEARCH_ALIGNMENT_SEARCH_INPUTS_H_
+
+#include "core/search/alignment/heading_match.h"
+#include "core/search/alignment/history.h"
+#include "core/search/alignment/pose_table.h"
+#include "core/search/alignment/query.h"
+#include "core/search/alignment/recent_path.h"
+#include "core/search/alignment/relative_model.h"
+#include "core/search/alignment/search_bounds.h"
+
+namespace revisit::core {
+
+// All must outlive the searches.
+template <int D>
+struct SearchInputs {
+  const Query& query;
+  const History& history;
+  const RelativeModel& model;
+  // Those of the query.
+  const RecentPath<D>& recent;
+  const SearchBounds<D>& bounds;
+  // Null where ends are not sampled.
+  const HeadingMatch* headings;
+  // That of the history, filled in on the way.
+  PoseTable* table;
+};
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_SEARCH_ALIGNMENT_SEARCH_INPUTS_H_
