@@ -93,7 +93,7 @@ class Search::Impl {
   std::int64_t AlignedNodes(NodeIndex query, std::int64_t sequence_nodes,
                             const SearchOptions& options) const;
   Query QueryAt(NodeIndex node, const Extent& extent) const;
-  // What the drive's own past has for such a query.
+  // The drive's own past, as far as it is compared with a query of this extent.
   History PastOf(const Extent& extent, std::vector<NodeRange> not_sought) const;
   // Searches the marks that are not known. Returns CANCELLED if told to stop.
   absl::StatusOr<SearchPrior> PriorAt(NodeIndex query,

@@ -122,8 +122,8 @@ class RelativeAlignment {
 // ends are pruned. Returns nothing if told to stop. REQUIRES: the recent path
 // lies in one segment, and may begin in the history; the history's graph
 // outlives the answer. `parts`, if not null, are empty or come from an
-// alignment of the same query and history, and a model with the same
-// similarity, shape and spacings.
+// alignment of the same query and the same nodes of the history, whichever are
+// sought, and a model with the same similarity, shape and spacings.
 std::optional<RelativeAlignment> AlignRelative(const Query& query,
                                                const History& history,
                                                const RelativeModel& model,
