@@ -3,6 +3,7 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 
+#include "core/geometry/state_matrix.h"
 #include "core/noise/dead_reckoning.h"
 
 namespace revisit::core {

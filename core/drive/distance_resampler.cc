@@ -6,6 +6,7 @@
 #include <cmath>
 
 #include "core/geometry/heading.h"
+#include "core/geometry/state_matrix.h"
 
 namespace revisit::core {
 namespace {

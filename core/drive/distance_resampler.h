@@ -15,38 +15,17 @@
 #ifndef REVISIT_CORE_DRIVE_DISTANCE_RESAMPLER_H_
 #define REVISIT_CORE_DRIVE_DISTANCE_RESAMPLER_H_
 
+#include <Eigen/Core>
 #include <cstdint>
 #include <optional>
 
 #include "core/base/byte_stream.h"
+#include "core/drive/findings.h"
 #include "core/drive/pose_graph.h"
+#include "core/drive/resampler_options.h"
 #include "core/geometry/pose.h"
 
 namespace revisit::core {
-
-struct ResamplerOptions {
-  StateSpace state_space = StateSpace::kPlanar;
-  double spacing_meters = 2.0;
-  double max_step_meters = 100.0;
-  double standstill_fraction = 0.05;
-  // Whether nodes get error transitions; all samples but the first must have
-  // them.
-  bool carry_transitions = false;
-
-  // A step from the last counted pose adds distance unless it is one of these.
-  bool IsStandstill(double step_meters) const {
-    return step_meters < standstill_fraction * spacing_meters;
-  }
-  bool IsJump(double step_meters) const {
-    return step_meters > max_step_meters;
-  }
-};
-
-struct Jump {
-  // The pose after the jump.
-  std::uint64_t sequence = 0;
-  double distance_meters = 0.0;
-};
 
 class DistanceResampler {
  public:

@@ -6,11 +6,22 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/byte_stream.h"
+#include "core/drive/agreement.h"
+#include "core/drive/block_bounds.h"
+#include "core/drive/claimed_model.h"
+#include "core/drive/confirmed_loop.h"
+#include "core/drive/consistency_monitor.h"
+#include "core/drive/distance_resampler.h"
+#include "core/drive/dropped_stretch.h"
+#include "core/drive/model_check.h"
+#include "core/drive/motion_history.h"
 #include "core/drive/node_range.h"
-#include "core/search/belief/drive_belief.h"
-#include "core/search/candidates/mark_search.h"
-#include "core/search/candidates/posterior.h"
-#include "core/search/candidates/search_task.h"
+#include "core/drive/pose_graph.h"
+#include "core/drive/retention.h"
+#include "core/drive/stamps.h"
+#include "core/geometry/pose.h"
+#include "core/noise/similarity_model.h"
 
 namespace revisit::core {
 namespace {
@@ -43,6 +54,7 @@ ConsistencyOptions MakeConsistencyOptions(const DriveSettings& settings) {
 // come from: drive_state_test.cc has bytes as they were.
 constexpr std::uint64_t kStateVersion = 2;
 
+static_assert(Drive::kPartNodes == 64 * NodeBlock::kSize);
 constexpr auto kPartBlocks =
     static_cast<std::size_t>(Drive::kPartNodes) / NodeBlock::kSize;
 
@@ -53,133 +65,108 @@ constexpr double kCheckTolerance = 1e-9;
 
 }  // namespace
 
-Drive::Drive(const DriveSettings& settings)
-    : settings_(settings),
-      resampler_(MakeResamplerOptions(settings)),
-      motion_history_(MakeMotionHistory()),
-      block_bounds_(settings.state_space),
-      monitor_(MakeConsistencyOptions(settings)),
-      model_check_(settings.max_step_meters),
-      leap_watch_(MakeLeapWatch()) {
+struct Drive::Impl {
+  // Pairs that were verified to be one place.
+  struct Confirmed {
+    std::uint64_t query_sequence;
+    std::uint64_t matched_sequence;
+    ConfirmedLoop loop;
+  };
+
+  explicit Impl(const DriveSettings& with_settings);
+
+  std::optional<std::pair<NodeIndex, NodeIndex>> LoopEdge(
+      std::uint64_t query_sequence, std::uint64_t matched_sequence) const;
+  void ScheduleNextCheck();
+  // Where Gamma has no closed form, searches go through all nodes in any case,
+  // and nodes take the most memory: they do without indexes.
+  bool has_indexes() const {
+    return NoiseOf(settings.search.correlation_model).has_closed_form();
+  }
+  std::string StateKey() const;
+  // Begins a part or the rest, and reads its beginning.
+  ByteWriter BeginState(std::uint64_t parts_before) const;
+  bool ReadBeginning(ByteReader* reader) const;
+  MotionHistory MakeMotionHistory() const;
+  void RebuildMotionHistory();
+  // Without loop ends.
+  RetentionNeeds MakeRetentionNeeds() const;
+  LeapWatch MakeLeapWatch() const;
+  // Adds the graph's new nodes to its indexes.
+  void ExtendIndexes();
+  // Estimates the consistency anew from all confirmed loops.
+  void RebuildMonitor();
+
+  DriveSettings settings;
+  PoseGraph graph;
+  DistanceResampler resampler;
+  MotionHistory motion_history;
+  BlockBounds block_bounds;
+  DroppedStretches dropped;
+  std::uint64_t last_sequence = 0;
+  std::uint64_t revision = 0;
+  std::uint64_t mark_settings_version = 1;
+  // In the order in which they came.
+  std::vector<Confirmed> confirmed;
+  // Pairs that were verified not to be one place, likewise.
+  std::vector<std::pair<NodeIndex, NodeIndex>> rejected;
+  ConsistencyMonitor monitor;
+  ModelCheck model_check;
+  LeapWatch leap_watch;
+  // The next check is due at this many check intervals.
+  std::int64_t next_check = 0;
+};
+
+Drive::Impl::Impl(const DriveSettings& with_settings)
+    : settings(with_settings),
+      resampler(MakeResamplerOptions(settings)),
+      motion_history(MakeMotionHistory()),
+      block_bounds(settings.state_space),
+      monitor(MakeConsistencyOptions(settings)),
+      model_check(settings.max_step_meters),
+      leap_watch(MakeLeapWatch()) {
   assert(FindProblems(settings).empty());
   ScheduleNextCheck();
 }
 
-MotionHistory Drive::MakeMotionHistory() const {
-  const SearchOptions& search = settings_.search;
+MotionHistory Drive::Impl::MakeMotionHistory() const {
+  const SearchOptions& search = settings.search;
   return MotionHistory(
-      settings_.state_space, CorrelationOf(search),
-      StretchNodes(search.shape, settings_.node_spacing_meters,
+      settings.state_space, CorrelationOf(search),
+      StretchNodes(search.shape, settings.node_spacing_meters,
                    SequenceNodes(search.sequence_length_meters,
-                                 settings_.node_spacing_meters)));
+                                 settings.node_spacing_meters)));
 }
 
-void Drive::ExtendIndexes() {
+void Drive::Impl::ExtendIndexes() {
   if (!has_indexes()) return;
-  motion_history_.Extend(graph_);
-  block_bounds_.Extend(graph_);
-}
-
-ResamplerOptions Drive::resampler_options() const {
-  return MakeResamplerOptions(settings_);
+  motion_history.Extend(graph);
+  block_bounds.Extend(graph);
 }
 
 // The next check is the first that lies after all present nodes and leaves room
 // for the sequence and as much history.
-void Drive::ScheduleNextCheck() {
-  const double interval = settings_.check_interval_meters;
+void Drive::Impl::ScheduleNextCheck() {
+  const double interval = settings.check_interval_meters;
   const double first =
-      std::ceil(2.0 * settings_.search.sequence_length_meters / interval -
+      std::ceil(2.0 * settings.search.sequence_length_meters / interval -
                 kCheckTolerance);
   const double next =
-      graph_.size() == 0
+      graph.size() == 0
           ? 0.0
-          : std::floor(graph_.node(graph_.size() - 1).travelled_meters /
+          : std::floor(graph.node(graph.size() - 1).travelled_meters /
                            interval +
                        kCheckTolerance) +
                 1.0;
-  next_check_ = static_cast<std::int64_t>(std::max(first, next));
+  next_check = static_cast<std::int64_t>(std::max(first, next));
 }
 
-AppendResult Drive::Append(const std::vector<PoseSample>& samples,
-                           std::uint64_t revision) {
-  assert(revision > revision_);
-  AppendResult result;
-  const CorrelationModel model = settings_.search.correlation_model;
-  const std::optional<FindingCode> found_before = model_check_.Judge(model);
-  const bool had_leapt = leap_watch_.leap().has_value();
-  for (const PoseSample& sample : samples) {
-    assert(sample.sequence == last_sequence_ + 1);
-    model_check_.Look(sample);
-    const NodeIndex before = graph_.size();
-    if (std::optional<Jump> jump = resampler_.Add(sample, &graph_)) {
-      result.jumps.push_back(*jump);
-    }
-    for (NodeIndex i = before; i < graph_.size(); ++i) {
-      const double due = (static_cast<double>(next_check_) - kCheckTolerance) *
-                         settings_.check_interval_meters;
-      if (graph_.node(i).travelled_meters >= due) {
-        result.checks_due.push_back(i);
-        ++next_check_;
-      }
-    }
-    last_sequence_ = sample.sequence;
-  }
-  ExtendIndexes();
-  leap_watch_.Extend(graph_, dropped_);
-  const bool has_new_finding = model_check_.Judge(model) != found_before;
-  const bool has_leapt = !had_leapt && leap_watch_.leap();
-  if (has_new_finding || has_leapt) {
-    for (Finding& finding : findings()) {
-      if (finding.leap ? has_leapt : has_new_finding) {
-        result.findings.push_back(finding);
-      }
-    }
-  }
-  revision_ = revision;
-  return result;
-}
-
-std::vector<Finding> Drive::findings() const {
-  std::vector<Finding> findings;
-  if (auto found = model_check_.Find(settings_.search.correlation_model)) {
-    findings.push_back(*found);
-  }
-  if (const auto leap = leap_watch_.leap()) {
-    Finding& finding = findings.emplace_back();
-    finding.code = FindingCode::kStampsLeap;
-    finding.leap = leap;
-  }
-  return findings;
-}
-
-void Drive::Skip(const DroppedStretch& stretch, std::uint64_t revision) {
-  assert(revision > revision_);
-  assert(stretch.first_sequence == last_sequence_ + 1 &&
-         stretch.last_sequence >= stretch.first_sequence);
-  const double before = resampler_.travelled_meters();
-  resampler_.Skip(stretch.last_sequence, stretch.travelled_meters,
-                  stretch.transition);
-  dropped_.Add(stretch, graph_.size());
-  model_check_.Skip();
-  last_sequence_ = stretch.last_sequence;
-  // Checks that fell due on the way are past.
-  const double interval = settings_.check_interval_meters;
-  if (resampler_.travelled_meters() > before) {
-    next_check_ = std::max(
-        next_check_, static_cast<std::int64_t>(
-                         std::floor(resampler_.travelled_meters() / interval)) +
-                         1);
-  }
-  revision_ = revision;
-}
-
-RetentionNeeds Drive::MakeRetentionNeeds() const {
-  const SearchOptions& search = settings_.search;
-  const double spacing = settings_.node_spacing_meters;
+RetentionNeeds Drive::Impl::MakeRetentionNeeds() const {
+  const SearchOptions& search = settings.search;
+  const double spacing = settings.node_spacing_meters;
   const NodeIndex steps = SequenceNodes(search.sequence_length_meters, spacing);
   RetentionNeeds needs;
-  needs.state_space = settings_.state_space;
+  needs.state_space = settings.state_space;
   needs.correlation = CorrelationOf(search);
   needs.tolerance_meters = search.place_tolerance.position_meters;
   needs.spacing_meters = spacing;
@@ -188,43 +175,222 @@ RetentionNeeds Drive::MakeRetentionNeeds() const {
   // The marks that show the drift at the last node, and what they align.
   needs.newest_nodes =
       static_cast<NodeIndex>(std::ceil(static_cast<double>(kDriftMarks + 1) *
-                                       MarkSpacing(settings_) / spacing)) +
+                                       MarkSpacing(settings) / spacing)) +
       2 * needs.aligned_nodes;
   needs.agreeing_nodes = std::max(kLeastAgreeing, steps);
   needs.least_nodes = needs.aligned_nodes;
   return needs;
 }
 
-LeapWatch Drive::MakeLeapWatch() const {
-  return {settings_.retention.max_age_ns, MakeRetentionNeeds().newest_nodes};
+LeapWatch Drive::Impl::MakeLeapWatch() const {
+  return {settings.retention.max_age_ns, MakeRetentionNeeds().newest_nodes};
+}
+
+// A setting that differs may come to the same in whole nodes.
+void Drive::Impl::RebuildMotionHistory() {
+  MotionHistory history = MakeMotionHistory();
+  if (history.correlation() == motion_history.correlation() &&
+      history.stretch_nodes() == motion_history.stretch_nodes()) {
+    return;
+  }
+  motion_history = std::move(history);
+  ExtendIndexes();
+}
+
+std::optional<std::pair<NodeIndex, NodeIndex>> Drive::Impl::LoopEdge(
+    std::uint64_t query_sequence, std::uint64_t matched_sequence) const {
+  if (dropped.Contains(query_sequence) || dropped.Contains(matched_sequence)) {
+    return std::nullopt;
+  }
+  const std::optional<NodeIndex> query = graph.NodeAtOrBefore(query_sequence);
+  const std::optional<NodeIndex> matched =
+      graph.NodeAtOrBefore(matched_sequence);
+  if (!query || !matched || *query == *matched) return std::nullopt;
+  return std::make_pair(*query, *matched);
+}
+
+void Drive::Impl::RebuildMonitor() {
+  monitor = ConsistencyMonitor(MakeConsistencyOptions(settings));
+  for (const Confirmed& each : confirmed) monitor.Confirm(graph, each.loop);
+}
+
+std::string Drive::Impl::StateKey() const {
+  ByteWriter writer;
+  writer.Put(kStateVersion);
+  writer.Put(static_cast<std::uint32_t>(settings.state_space));
+  writer.Put(settings.node_spacing_meters);
+  writer.Put(settings.max_step_meters);
+  const Correlation& correlation = motion_history.correlation();
+  writer.Put(static_cast<std::uint32_t>(correlation.model));
+  writer.Put(correlation.meters);
+  writer.Put(motion_history.stretch_nodes());
+  writer.Put(kPartNodes);
+  return writer.Take();
+}
+
+ByteWriter Drive::Impl::BeginState(std::uint64_t parts_before) const {
+  ByteWriter writer;
+  const std::string key = StateKey();
+  writer.PutArray(key.data(), key.size());
+  writer.Put(parts_before);
+  return writer;
+}
+
+bool Drive::Impl::ReadBeginning(ByteReader* reader) const {
+  const std::string expected = StateKey();
+  std::string key(expected.size(), '\0');
+  std::uint64_t parts_before = 0;
+  return reader->GetArray(key.data(), key.size()) && key == expected &&
+         reader->Get(&parts_before) &&
+         parts_before == static_cast<std::uint64_t>(graph.size() / kPartNodes);
+}
+
+Drive::Drive(const DriveSettings& settings)
+    : impl_(std::make_unique<Impl>(settings)) {}
+
+Drive::Drive(Drive&&) noexcept = default;
+
+Drive::~Drive() = default;
+
+const DriveSettings& Drive::settings() const { return impl_->settings; }
+
+const PoseGraph& Drive::graph() const { return impl_->graph; }
+
+std::size_t Drive::bytes() const {
+  return impl_->graph.bytes() + impl_->motion_history.bytes() +
+         impl_->block_bounds.bytes() + impl_->dropped.bytes();
+}
+
+std::uint64_t Drive::last_sequence() const { return impl_->last_sequence; }
+
+double Drive::travelled_meters() const {
+  return impl_->resampler.travelled_meters();
+}
+
+std::uint64_t Drive::revision() const { return impl_->revision; }
+
+const DroppedStretches& Drive::dropped() const { return impl_->dropped; }
+
+const MotionHistory& Drive::motion_history() const {
+  return impl_->motion_history;
+}
+
+const BlockBounds& Drive::block_bounds() const { return impl_->block_bounds; }
+
+std::uint64_t Drive::mark_settings_version() const {
+  return impl_->mark_settings_version;
+}
+
+std::string Drive::StateKey() const { return impl_->StateKey(); }
+
+ResamplerOptions Drive::resampler_options() const {
+  return MakeResamplerOptions(impl_->settings);
+}
+
+AppendResult Drive::Append(const std::vector<PoseSample>& samples,
+                           std::uint64_t revision) {
+  assert(revision > impl_->revision);
+  AppendResult result;
+  const CorrelationModel model = impl_->settings.search.correlation_model;
+  const std::optional<FindingCode> found_before =
+      impl_->model_check.Judge(model);
+  const bool had_leapt = impl_->leap_watch.leap().has_value();
+  for (const PoseSample& sample : samples) {
+    assert(sample.sequence == impl_->last_sequence + 1);
+    impl_->model_check.Look(sample);
+    const NodeIndex before = impl_->graph.size();
+    if (std::optional<Jump> jump =
+            impl_->resampler.Add(sample, &impl_->graph)) {
+      result.jumps.push_back(*jump);
+    }
+    for (NodeIndex i = before; i < impl_->graph.size(); ++i) {
+      const double due =
+          (static_cast<double>(impl_->next_check) - kCheckTolerance) *
+          impl_->settings.check_interval_meters;
+      if (impl_->graph.node(i).travelled_meters >= due) {
+        result.checks_due.push_back(i);
+        ++impl_->next_check;
+      }
+    }
+    impl_->last_sequence = sample.sequence;
+  }
+  impl_->ExtendIndexes();
+  impl_->leap_watch.Extend(impl_->graph, impl_->dropped);
+  const bool has_new_finding = impl_->model_check.Judge(model) != found_before;
+  const bool has_leapt = !had_leapt && impl_->leap_watch.leap();
+  if (has_new_finding || has_leapt) {
+    for (Finding& finding : findings()) {
+      if (finding.leap ? has_leapt : has_new_finding) {
+        result.findings.push_back(finding);
+      }
+    }
+  }
+  impl_->revision = revision;
+  return result;
+}
+
+std::vector<Finding> Drive::findings() const {
+  std::vector<Finding> findings;
+  if (auto found =
+          impl_->model_check.Find(impl_->settings.search.correlation_model)) {
+    findings.push_back(*found);
+  }
+  if (const auto leap = impl_->leap_watch.leap()) {
+    Finding& finding = findings.emplace_back();
+    finding.code = FindingCode::kStampsLeap;
+    finding.leap = leap;
+  }
+  return findings;
+}
+
+void Drive::Skip(const DroppedStretch& stretch, std::uint64_t revision) {
+  assert(revision > impl_->revision);
+  assert(stretch.first_sequence == impl_->last_sequence + 1 &&
+         stretch.last_sequence >= stretch.first_sequence);
+  const double before = impl_->resampler.travelled_meters();
+  impl_->resampler.Skip(stretch.last_sequence, stretch.travelled_meters,
+                        stretch.transition);
+  impl_->dropped.Add(stretch, impl_->graph.size());
+  impl_->model_check.Skip();
+  impl_->last_sequence = stretch.last_sequence;
+  // Checks that fell due on the way are past.
+  const double interval = impl_->settings.check_interval_meters;
+  if (impl_->resampler.travelled_meters() > before) {
+    impl_->next_check = std::max(
+        impl_->next_check,
+        static_cast<std::int64_t>(
+            std::floor(impl_->resampler.travelled_meters() / interval)) +
+            1);
+  }
+  impl_->revision = revision;
 }
 
 std::optional<std::int64_t> Drive::OldestStamp(
     std::optional<std::int64_t> latest_ns) const {
-  if (!settings_.retention.max_age_ns) return std::nullopt;
-  const RetentionNeeds needs = MakeRetentionNeeds();
+  if (!impl_->settings.retention.max_age_ns) return std::nullopt;
+  const RetentionNeeds needs = impl_->MakeRetentionNeeds();
   return core::OldestStamp(
-      graph_, {*settings_.retention.max_age_ns, needs.agreeing_nodes,
-               needs.newest_nodes, latest_ns});
+      impl_->graph, {*impl_->settings.retention.max_age_ns,
+                     needs.agreeing_nodes, needs.newest_nodes, latest_ns});
 }
 
 std::unique_ptr<DroppableSearch> Drive::SearchDroppable(
     std::optional<std::int64_t> latest_ns) const {
-  RetentionNeeds needs = MakeRetentionNeeds();
+  RetentionNeeds needs = impl_->MakeRetentionNeeds();
   needs.loop_ends = LoopEnds();
-  return std::make_unique<DroppableSearch>(graph_, settings_.retention,
-                                           std::move(needs), latest_ns);
+  return std::make_unique<DroppableSearch>(
+      impl_->graph, impl_->settings.retention, std::move(needs), latest_ns);
 }
 
 bool Drive::Fits(const DroppableSearch& search) const {
-  return search.options() == settings_.retention &&
-         HaveSameRules(search.needs(), MakeRetentionNeeds());
+  return search.options() == impl_->settings.retention &&
+         HaveSameRules(search.needs(), impl_->MakeRetentionNeeds());
 }
 
 std::vector<NodeIndex> Drive::LoopEnds() const {
   std::vector<NodeIndex> ends;
-  ends.reserve(2 * confirmed_.size());
-  for (const Confirmed& confirmed : confirmed_) {
+  ends.reserve(2 * impl_->confirmed.size());
+  for (const Impl::Confirmed& confirmed : impl_->confirmed) {
     ends.push_back(confirmed.loop.query);
     ends.push_back(confirmed.loop.matched);
   }
@@ -233,176 +399,117 @@ std::vector<NodeIndex> Drive::LoopEnds() const {
 
 absl::Status Drive::ChangeSettings(const DriveSettings& settings,
                                    std::uint64_t revision) {
-  assert(revision > revision_);
+  assert(revision > impl_->revision);
   if (const auto problems = FindProblems(settings); !problems.empty()) {
     return absl::InvalidArgumentError(
         absl::StrCat(problems[0].field, ": ", problems[0].description));
   }
-  const unsigned remade = RemadeBetween(settings_, settings);
+  const unsigned remade = RemadeBetween(impl_->settings, settings);
   if ((remade & kRemadeNodes) != 0) {
     return absl::FailedPreconditionError(
         "these settings move nodes: the drive has to be made anew");
   }
-  settings_ = settings;
-  revision_ = revision;
-  if ((remade & kRemadeMarks) != 0) ++mark_settings_version_;
-  if ((remade & kRemadeConsistency) != 0) RebuildMonitor();
-  if ((remade & kRemadeMotionHistory) != 0) RebuildMotionHistory();
-  leap_watch_ = MakeLeapWatch();
-  leap_watch_.Extend(graph_, dropped_);
-  ScheduleNextCheck();
+  impl_->settings = settings;
+  impl_->revision = revision;
+  if ((remade & kRemadeMarks) != 0) ++impl_->mark_settings_version;
+  if ((remade & kRemadeConsistency) != 0) impl_->RebuildMonitor();
+  if ((remade & kRemadeMotionHistory) != 0) impl_->RebuildMotionHistory();
+  impl_->leap_watch = impl_->MakeLeapWatch();
+  impl_->leap_watch.Extend(impl_->graph, impl_->dropped);
+  impl_->ScheduleNextCheck();
   return absl::OkStatus();
-}
-
-// A setting that differs may come to the same in whole nodes.
-void Drive::RebuildMotionHistory() {
-  MotionHistory history = MakeMotionHistory();
-  if (history.correlation() == motion_history_.correlation() &&
-      history.stretch_nodes() == motion_history_.stretch_nodes()) {
-    return;
-  }
-  motion_history_ = std::move(history);
-  ExtendIndexes();
-}
-
-std::optional<std::pair<NodeIndex, NodeIndex>> Drive::LoopEdge(
-    std::uint64_t query_sequence, std::uint64_t matched_sequence) const {
-  if (dropped_.Contains(query_sequence) ||
-      dropped_.Contains(matched_sequence)) {
-    return std::nullopt;
-  }
-  const std::optional<NodeIndex> query = graph_.NodeAtOrBefore(query_sequence);
-  const std::optional<NodeIndex> matched =
-      graph_.NodeAtOrBefore(matched_sequence);
-  if (!query || !matched || *query == *matched) return std::nullopt;
-  return std::make_pair(*query, *matched);
 }
 
 void Drive::AddLoopClosure(std::uint64_t query_sequence,
                            std::uint64_t matched_sequence,
                            std::uint64_t revision,
                            std::shared_ptr<const MeasuredLoop> measured) {
-  assert(revision > revision_);
-  if (const auto edge = LoopEdge(query_sequence, matched_sequence)) {
-    graph_.AddLoopEdge(edge->first, edge->second);
-    confirmed_.push_back({query_sequence,
-                          matched_sequence,
-                          {edge->first, edge->second, std::move(measured)}});
-    monitor_.Confirm(graph_, confirmed_.back().loop);
+  assert(revision > impl_->revision);
+  if (const auto edge = impl_->LoopEdge(query_sequence, matched_sequence)) {
+    impl_->graph.AddLoopEdge(edge->first, edge->second);
+    impl_->confirmed.push_back(
+        {query_sequence,
+         matched_sequence,
+         {edge->first, edge->second, std::move(measured)}});
+    impl_->monitor.Confirm(impl_->graph, impl_->confirmed.back().loop);
   }
-  revision_ = revision;
+  impl_->revision = revision;
 }
 
 void Drive::RemoveLoopClosure(std::uint64_t query_sequence,
                               std::uint64_t matched_sequence,
                               std::uint64_t revision, std::size_t occurrence) {
-  assert(revision > revision_);
-  for (auto it = confirmed_.begin(); it != confirmed_.end(); ++it) {
+  assert(revision > impl_->revision);
+  for (auto it = impl_->confirmed.begin(); it != impl_->confirmed.end(); ++it) {
     if (it->query_sequence != query_sequence ||
         it->matched_sequence != matched_sequence || occurrence-- > 0) {
       continue;
     }
-    graph_.RemoveLoopEdge(it->loop.query, it->loop.matched);
-    confirmed_.erase(it);
-    RebuildMonitor();
+    impl_->graph.RemoveLoopEdge(it->loop.query, it->loop.matched);
+    impl_->confirmed.erase(it);
+    impl_->RebuildMonitor();
     break;
   }
-  revision_ = revision;
+  impl_->revision = revision;
 }
 
 std::optional<Agreement> Drive::AgreementOf(
     std::uint64_t query_sequence, std::uint64_t matched_sequence,
     const std::shared_ptr<const MeasuredLoop>& measured) const {
-  const std::optional<NodeIndex> query = graph_.NodeAtOrBefore(query_sequence);
+  const std::optional<NodeIndex> query =
+      impl_->graph.NodeAtOrBefore(query_sequence);
   const std::optional<NodeIndex> matched =
-      graph_.NodeAtOrBefore(matched_sequence);
+      impl_->graph.NodeAtOrBefore(matched_sequence);
   if (!query || !matched) return std::nullopt;
-  return core::AgreementOf(graph_, SimilarityOf(settings_.search),
+  return core::AgreementOf(impl_->graph, SimilarityOf(impl_->settings.search),
                            {*query, *matched, measured});
 }
 
 void Drive::AddRejection(std::uint64_t query_sequence,
                          std::uint64_t matched_sequence,
                          std::uint64_t revision) {
-  assert(revision > revision_);
-  if (const auto pair = LoopEdge(query_sequence, matched_sequence)) {
-    rejected_.push_back(*pair);
+  assert(revision > impl_->revision);
+  if (const auto pair = impl_->LoopEdge(query_sequence, matched_sequence)) {
+    impl_->rejected.push_back(*pair);
   }
-  revision_ = revision;
+  impl_->revision = revision;
 }
 
 void Drive::RemoveRejection(std::uint64_t query_sequence,
                             std::uint64_t matched_sequence,
                             std::uint64_t revision) {
-  assert(revision > revision_);
-  if (const auto pair = LoopEdge(query_sequence, matched_sequence)) {
-    const auto found = std::find(rejected_.begin(), rejected_.end(), *pair);
-    if (found != rejected_.end()) rejected_.erase(found);
+  assert(revision > impl_->revision);
+  if (const auto pair = impl_->LoopEdge(query_sequence, matched_sequence)) {
+    const auto found =
+        std::find(impl_->rejected.begin(), impl_->rejected.end(), *pair);
+    if (found != impl_->rejected.end()) impl_->rejected.erase(found);
   }
-  revision_ = revision;
+  impl_->revision = revision;
 }
 
 Consistency Drive::consistency() const {
-  Consistency consistency = monitor_.consistency();
-  consistency.rejected = static_cast<std::int64_t>(rejected_.size());
+  Consistency consistency = impl_->monitor.consistency();
+  consistency.rejected = static_cast<std::int64_t>(impl_->rejected.size());
   return consistency;
-}
-
-void Drive::RebuildMonitor() {
-  monitor_ = ConsistencyMonitor(MakeConsistencyOptions(settings_));
-  for (const Confirmed& confirmed : confirmed_) {
-    monitor_.Confirm(graph_, confirmed.loop);
-  }
-}
-
-std::string Drive::StateKey() const {
-  ByteWriter writer;
-  writer.Put(kStateVersion);
-  writer.Put(static_cast<std::uint32_t>(settings_.state_space));
-  writer.Put(settings_.node_spacing_meters);
-  writer.Put(settings_.max_step_meters);
-  const Correlation& correlation = motion_history_.correlation();
-  writer.Put(static_cast<std::uint32_t>(correlation.model));
-  writer.Put(correlation.meters);
-  writer.Put(motion_history_.stretch_nodes());
-  writer.Put(kPartNodes);
-  return writer.Take();
-}
-
-ByteWriter Drive::BeginState(std::uint64_t parts_before) const {
-  ByteWriter writer;
-  const std::string key = StateKey();
-  writer.PutArray(key.data(), key.size());
-  writer.Put(parts_before);
-  return writer;
-}
-
-bool Drive::ReadBeginning(ByteReader* reader) const {
-  const std::string expected = StateKey();
-  std::string key(expected.size(), '\0');
-  std::uint64_t parts_before = 0;
-  return reader->GetArray(key.data(), key.size()) && key == expected &&
-         reader->Get(&parts_before) &&
-         parts_before == static_cast<std::uint64_t>(graph_.size() / kPartNodes);
 }
 
 // A part is whole once the bounds of its blocks are known too.
 std::size_t Drive::whole_parts() const {
   const auto after = static_cast<NodeIndex>(NodeBlock::kSize) + 1;
   return static_cast<std::size_t>(
-      std::max<NodeIndex>(0, graph_.size() - after) / kPartNodes);
+      std::max<NodeIndex>(0, impl_->graph.size() - after) / kPartNodes);
 }
 
 std::string Drive::SavePart(std::size_t part) const {
   assert(part < whole_parts());
   const std::size_t first = part * kPartBlocks;
   const std::size_t end = first + kPartBlocks;
-  ByteWriter writer = BeginState(part);
-  writer.Reserve(bytes() / BlocksOf(graph_.size()) * (kPartBlocks + 4));
-  graph_.SaveBlocks(first, end, &writer);
-  if (has_indexes()) {
-    motion_history_.SaveBlocks(graph_, first, end, &writer);
-    block_bounds_.SaveBlocks(first, end, &writer);
+  ByteWriter writer = impl_->BeginState(part);
+  writer.Reserve(bytes() / BlocksOf(impl_->graph.size()) * (kPartBlocks + 4));
+  impl_->graph.SaveBlocks(first, end, &writer);
+  if (impl_->has_indexes()) {
+    impl_->motion_history.SaveBlocks(impl_->graph, first, end, &writer);
+    impl_->block_bounds.SaveBlocks(first, end, &writer);
   }
   return writer.Take();
 }
@@ -410,45 +517,49 @@ std::string Drive::SavePart(std::size_t part) const {
 // The indexes of so few nodes are as soon made as read.
 std::string Drive::SaveRest(std::size_t parts) const {
   assert(parts <= whole_parts());
-  ByteWriter writer = BeginState(parts);
-  graph_.SaveRest(parts * kPartBlocks, &writer);
-  writer.Put(last_sequence_);
-  dropped_.Save(&writer);
-  resampler_.Save(&writer);
-  model_check_.Save(&writer);
-  writer.Put(next_check_);
+  ByteWriter writer = impl_->BeginState(parts);
+  impl_->graph.SaveRest(parts * kPartBlocks, &writer);
+  writer.Put(impl_->last_sequence);
+  impl_->dropped.Save(&writer);
+  impl_->resampler.Save(&writer);
+  impl_->model_check.Save(&writer);
+  writer.Put(impl_->next_check);
   return writer.Take();
 }
 
 bool Drive::LoadPart(absl::string_view bytes) {
   ByteReader reader(bytes);
-  return ReadBeginning(&reader) &&
-         graph_.LoadBlocks(kPartBlocks, !has_indexes(), &reader) &&
-         (!has_indexes() || (motion_history_.LoadBlocks(kPartBlocks, &reader) &&
-                             block_bounds_.LoadBlocks(kPartBlocks, &reader))) &&
+  return impl_->ReadBeginning(&reader) &&
+         impl_->graph.LoadBlocks(kPartBlocks, !impl_->has_indexes(), &reader) &&
+         (!impl_->has_indexes() ||
+          (impl_->motion_history.LoadBlocks(kPartBlocks, &reader) &&
+           impl_->block_bounds.LoadBlocks(kPartBlocks, &reader))) &&
          reader.rest().empty();
 }
 
 bool Drive::LoadRest(absl::string_view bytes) {
   ByteReader reader(bytes);
-  const auto parts = static_cast<std::size_t>(graph_.size() / kPartNodes);
-  if (!ReadBeginning(&reader) || !graph_.LoadRest(!has_indexes(), &reader) ||
-      !reader.Get(&last_sequence_) ||
-      !dropped_.Load(graph_.size(), last_sequence_, &reader) ||
-      !resampler_.Load(graph_, last_sequence_, &reader) ||
-      !model_check_.Load(&reader) || !reader.Get(&next_check_) ||
-      next_check_ < 0 || !reader.rest().empty() || whole_parts() < parts) {
+  const auto parts = static_cast<std::size_t>(impl_->graph.size() / kPartNodes);
+  if (!impl_->ReadBeginning(&reader) ||
+      !impl_->graph.LoadRest(!impl_->has_indexes(), &reader) ||
+      !reader.Get(&impl_->last_sequence) ||
+      !impl_->dropped.Load(impl_->graph.size(), impl_->last_sequence,
+                           &reader) ||
+      !impl_->resampler.Load(impl_->graph, impl_->last_sequence, &reader) ||
+      !impl_->model_check.Load(&reader) || !reader.Get(&impl_->next_check) ||
+      impl_->next_check < 0 || !reader.rest().empty() ||
+      whole_parts() < parts) {
     return false;
   }
-  motion_history_.EndLoading();
-  ExtendIndexes();
-  leap_watch_.Extend(graph_, dropped_);
+  impl_->motion_history.EndLoading();
+  impl_->ExtendIndexes();
+  impl_->leap_watch.Extend(impl_->graph, impl_->dropped);
   return true;
 }
 
 std::optional<ConfirmedLoop> Drive::LastConfirmed(NodeIndex query) const {
   const ConfirmedLoop* last = nullptr;
-  for (const Confirmed& confirmed : confirmed_) {
+  for (const Impl::Confirmed& confirmed : impl_->confirmed) {
     const ConfirmedLoop& loop = confirmed.loop;
     const NodeIndex later = std::max(loop.query, loop.matched);
     if (later > query) continue;
@@ -461,9 +572,10 @@ std::optional<ConfirmedLoop> Drive::LastConfirmed(NodeIndex query) const {
 }
 
 SimilarityModel Drive::SimilarityOf(const SearchOptions& options) const {
-  SimilarityModel model = ClaimedModel(settings_.state_space, options);
-  if (settings_.apply_inflation && !BeginsWithBelief(options, settings_)) {
-    model.inflation = monitor_.consistency().inflation;
+  SimilarityModel model = ClaimedModel(impl_->settings.state_space, options);
+  if (impl_->settings.apply_inflation &&
+      !BeginsWithBelief(options, impl_->settings)) {
+    model.inflation = impl_->monitor.consistency().inflation;
   }
   return model;
 }
@@ -471,13 +583,13 @@ SimilarityModel Drive::SimilarityOf(const SearchOptions& options) const {
 std::vector<NodeRange> Drive::NotSought(NodeIndex query,
                                         double separation_meters) const {
   std::vector<NodeRange> nodes = {
-      NodesNearer(graph_, query, separation_meters)};
+      NodesNearer(impl_->graph, query, separation_meters)};
   // Slightly more, so that nodes at exactly this distance are excluded too.
   const double around =
       std::max(separation_meters, kPlaceRadiusMeters) * (1.0 + 1e-9);
-  for (const auto& [rejected_query, rejected_match] : rejected_) {
-    if (graph_.MetersApart(rejected_query, query) <= around) {
-      nodes.push_back(NodesNearer(graph_, rejected_match, around));
+  for (const auto& [rejected_query, rejected_match] : impl_->rejected) {
+    if (impl_->graph.MetersApart(rejected_query, query) <= around) {
+      nodes.push_back(NodesNearer(impl_->graph, rejected_match, around));
     }
   }
   return nodes;

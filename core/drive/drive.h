@@ -2,6 +2,10 @@
 // in, and a Search (search/search.h) asks it. It has no input or output, no
 // clock and no threads: everything is passed as an argument.
 //
+// Whoever only passes a drive on includes no more than this: types that are
+// declared here have headers of their own in this folder, for those who use
+// what they hold.
+//
 // Thread-compatible: const calls may run at the same time, other calls need
 // exclusive access.
 #ifndef REVISIT_CORE_DRIVE_DRIVE_H_
@@ -12,28 +16,30 @@
 #include <memory>
 #include <optional>
 #include <string>
-#include <utility>
 #include <vector>
 
 #include "absl/status/status.h"
 #include "absl/strings/string_view.h"
-#include "core/drive/block_bounds.h"
-#include "core/drive/distance_resampler.h"
-#include "core/drive/dropped_stretch.h"
-#include "core/drive/motion_history.h"
-#include "core/drive/node_range.h"
-#include "core/drive/pose_graph.h"
-#include "core/drive/retention.h"
-#include "core/drive/stamps.h"
-#include "core/geometry/pose.h"
-#include "core/search/alignment/confirmed_loop.h"
-#include "core/search/alignment/log_similarity.h"
-#include "core/search/candidates/agreement.h"
-#include "core/search/candidates/consistency.h"
-#include "core/search/candidates/model_check.h"
+#include "core/drive/consistency.h"
+#include "core/drive/findings.h"
+#include "core/drive/node_index.h"
 #include "core/settings.h"
 
 namespace revisit::core {
+
+class BlockBounds;
+class DroppableSearch;
+class DroppedStretches;
+class MotionHistory;
+class PoseGraph;
+struct Agreement;
+struct ConfirmedLoop;
+struct DroppedStretch;
+struct MeasuredLoop;
+struct NodeRange;
+struct PoseSample;
+struct ResamplerOptions;
+struct SimilarityModel;
 
 struct AppendResult {
   std::vector<Jump> jumps;
@@ -49,19 +55,18 @@ class Drive {
  public:
   // REQUIRES: FindProblems(settings) is empty.
   explicit Drive(const DriveSettings& settings);
+  Drive(Drive&&) noexcept;
+  ~Drive();
 
-  const DriveSettings& settings() const { return settings_; }
-  const PoseGraph& graph() const { return graph_; }
+  const DriveSettings& settings() const;
+  const PoseGraph& graph() const;
   // Memory of the graph and its indexes, without the allocator's overhead.
-  std::size_t bytes() const {
-    return graph_.bytes() + motion_history_.bytes() + block_bounds_.bytes() +
-           dropped_.bytes();
-  }
+  std::size_t bytes() const;
   // Sequence number of the last pose appended; 0 before the first.
-  std::uint64_t last_sequence() const { return last_sequence_; }
-  double travelled_meters() const { return resampler_.travelled_meters(); }
+  std::uint64_t last_sequence() const;
+  double travelled_meters() const;
   // The revision that the last change was given; 0 before the first.
-  std::uint64_t revision() const { return revision_; }
+  std::uint64_t revision() const;
 
   // What the poses so far contradict the vehicle's settings by: a function of
   // these and of the settings. At most one of each code.
@@ -78,7 +83,7 @@ class Drive {
   void Skip(const DroppedStretch& stretch, std::uint64_t revision);
 
   // The stretches that were skipped.
-  const DroppedStretches& dropped() const { return dropped_; }
+  const DroppedStretches& dropped() const;
 
   // A search for the nodes that the vehicle's settings do not keep
   // (retention.h). Poses may be appended, and loop closures added, while it
@@ -164,16 +169,17 @@ class Drive {
   // REQUIRES: a drive that was not used but for calls of LoadPart().
   bool LoadPart(absl::string_view bytes);
   bool LoadRest(absl::string_view bytes);
-  static constexpr NodeIndex kPartNodes = 64 * NodeBlock::kSize;
+  // Whole blocks of nodes.
+  static constexpr NodeIndex kPartNodes = 8192;
 
   // ---- What searches ask (search/search.h).
 
   // Indexes of the graph, for searches with the vehicle's own options.
-  const MotionHistory& motion_history() const { return motion_history_; }
-  const BlockBounds& block_bounds() const { return block_bounds_; }
+  const MotionHistory& motion_history() const;
+  const BlockBounds& block_bounds() const;
   // Counts the changes of settings under which marks show something else; above
   // 0.
-  std::uint64_t mark_settings_version() const { return mark_settings_version_; }
+  std::uint64_t mark_settings_version() const;
   // The last confirmed loop whose nodes both lie at or before the query.
   std::optional<ConfirmedLoop> LastConfirmed(NodeIndex query) const;
   // The model that the options ask for, inflated as the settings say.
@@ -184,49 +190,9 @@ class Drive {
                                    double separation_meters) const;
 
  private:
-  std::optional<std::pair<NodeIndex, NodeIndex>> LoopEdge(
-      std::uint64_t query_sequence, std::uint64_t matched_sequence) const;
-  void ScheduleNextCheck();
-  // Where Gamma has no closed form, searches go through all nodes in any case,
-  // and nodes take the most memory: they do without indexes.
-  bool has_indexes() const {
-    return NoiseOf(settings_.search.correlation_model).has_closed_form();
-  }
-  // Begins a part or the rest, and reads its beginning.
-  ByteWriter BeginState(std::uint64_t parts_before) const;
-  bool ReadBeginning(ByteReader* reader) const;
-  MotionHistory MakeMotionHistory() const;
-  void RebuildMotionHistory();
-  // Without loop ends.
-  RetentionNeeds MakeRetentionNeeds() const;
-  LeapWatch MakeLeapWatch() const;
-  // Adds the graph's new nodes to its indexes.
-  void ExtendIndexes();
-  // Estimates the consistency anew from all confirmed loops.
-  void RebuildMonitor();
-  DriveSettings settings_;
-  PoseGraph graph_;
-  DistanceResampler resampler_;
-  MotionHistory motion_history_;
-  BlockBounds block_bounds_;
-  DroppedStretches dropped_;
-  std::uint64_t last_sequence_ = 0;
-  std::uint64_t revision_ = 0;
-  std::uint64_t mark_settings_version_ = 1;
-  struct Confirmed {
-    std::uint64_t query_sequence;
-    std::uint64_t matched_sequence;
-    ConfirmedLoop loop;
-  };
-  // Pairs that were verified, in the order in which they came: to be one place,
-  // and not to be.
-  std::vector<Confirmed> confirmed_;
-  std::vector<std::pair<NodeIndex, NodeIndex>> rejected_;
-  ConsistencyMonitor monitor_;
-  ModelCheck model_check_;
-  LeapWatch leap_watch_;
-  // The next check is due at this many check intervals.
-  std::int64_t next_check_ = 0;
+  struct Impl;
+
+  std::unique_ptr<Impl> impl_;
 };
 
 }  // namespace revisit::core

@@ -5,6 +5,8 @@
 #include <iterator>
 #include <limits>
 
+#include "core/geometry/state_matrix.h"
+
 namespace revisit::core {
 
 void DroppedStretchMaker::Add(const PoseSample& sample) {
@@ -38,7 +40,8 @@ void DroppedStretchMaker::Extend(
   if (stretch_.first_sequence == 0) stretch_.first_sequence = first_sequence;
   stretch_.last_sequence = last_sequence;
   if (transition) {
-    transition_ = (ToMatrix<4>(*transition) * transition_).eval();
+    transition_ = ToErrorTransition<4>(ToMatrix<4>(*transition) *
+                                       ToMatrix<4>(transition_));
   }
 }
 
@@ -48,10 +51,11 @@ DroppedStretch DroppedStretchMaker::Take() const {
   if (options_.carry_transitions) {
     // Errors that a filter lets grow beyond all numbers have nothing to do with
     // those before.
+    const StateMatrix<4> transition = ToMatrix<4>(transition_);
     const bool is_sound =
-        transition_.lpNorm<Eigen::Infinity>() <= kMaxTransitionEntry;
-    stretch.transition = ToErrorTransition<4>(
-        is_sound ? transition_ : Eigen::Matrix4d::Zero().eval());
+        transition.lpNorm<Eigen::Infinity>() <= kMaxTransitionEntry;
+    stretch.transition =
+        ToErrorTransition<4>(is_sound ? transition : StateMatrix<4>::Zero());
   }
   return stretch;
 }

@@ -8,8 +8,8 @@
 #include <vector>
 
 #include "core/base/byte_stream.h"
-#include "core/drive/distance_resampler.h"
-#include "core/drive/pose_graph.h"
+#include "core/drive/node_index.h"
+#include "core/drive/resampler_options.h"
 #include "core/geometry/pose.h"
 
 namespace revisit::core {
@@ -55,7 +55,8 @@ class DroppedStretchMaker {
   // next pose is counted already.
   std::optional<Pose> anchor_;
   DroppedStretch stretch_;
-  Eigen::Matrix4d transition_ = Eigen::Matrix4d::Identity();
+  // From the first pose over all that were added.
+  ErrorTransition transition_;
 };
 
 // The stretches that a graph lacks, in their order.

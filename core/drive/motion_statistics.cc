@@ -8,6 +8,7 @@
 
 #include "core/drive/node_noise.h"
 #include "core/geometry/heading.h"
+#include "core/geometry/state_matrix.h"
 #include "core/noise/covariances.h"
 
 namespace revisit::core {

@@ -11,6 +11,7 @@
 #include "core/drive/pose_graph.h"
 #include "core/geometry/heading.h"
 #include "core/geometry/pose.h"
+#include "core/geometry/state_matrix.h"
 #include "core/noise/noise_model.h"
 #include "core/noise/path_pair.h"
 

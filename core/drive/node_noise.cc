@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "core/geometry/state_matrix.h"
 #include "core/noise/correlated_fixes.h"
 
 namespace revisit::core {

@@ -9,6 +9,7 @@
 
 #include "core/drive/pose_graph.h"
 #include "core/geometry/pose.h"
+#include "core/geometry/state_matrix.h"
 #include "core/noise/covariances.h"
 #include "core/noise/filter.h"
 #include "core/noise/noise_model.h"

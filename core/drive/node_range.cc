@@ -1,5 +1,7 @@
 #include "core/drive/node_range.h"
 
+#include "core/drive/pose_graph.h"
+
 namespace revisit::core {
 
 bool IsNearer(const PoseGraph& graph, NodeIndex centre,

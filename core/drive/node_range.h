@@ -2,9 +2,12 @@
 #ifndef REVISIT_CORE_DRIVE_NODE_RANGE_H_
 #define REVISIT_CORE_DRIVE_NODE_RANGE_H_
 
+#include "core/drive/node_index.h"
 #include "core/drive/pose_graph.h"
 
 namespace revisit::core {
+
+class PoseGraph;
 
 // Nodes [first, last).
 struct NodeRange {
@@ -26,6 +29,10 @@ NodeIndex FirstWith(NodeIndex first, NodeIndex last, const Property& has) {
   }
   return first;
 }
+
+// Nodes this close to each other along the path are one place: a verifier that
+// is shown one finds the other.
+inline constexpr double kPlaceRadiusMeters = 10.0;
 
 // Whether a node is nearer to the centre than that along the path (in travelled
 // distance); the centre itself is.

@@ -10,8 +10,10 @@
 #include <utility>
 
 #include "core/drive/node_noise.h"
+#include "core/drive/pose_graph.h"
 #include "core/drive/stamps.h"
 #include "core/geometry/heading.h"
+#include "core/geometry/state_matrix.h"
 
 namespace revisit::core {
 namespace {

@@ -28,13 +28,15 @@
 #include <optional>
 #include <vector>
 
+#include "core/drive/node_index.h"
 #include "core/drive/node_range.h"
-#include "core/drive/pose_graph.h"
 #include "core/geometry/pose.h"
 #include "core/noise/noise_model.h"
 #include "core/settings.h"
 
 namespace revisit::core {
+
+class PoseGraph;
 
 // Passes of one place lie so far apart at most.
 inline constexpr double kPassRadiusMeters = 10.0;

@@ -4,6 +4,8 @@
 #include <cassert>
 #include <limits>
 
+#include "core/drive/pose_graph.h"
+
 namespace revisit::core {
 namespace {
 

@@ -33,9 +33,12 @@
 #include <vector>
 
 #include "core/drive/dropped_stretch.h"
-#include "core/drive/pose_graph.h"
+#include "core/drive/findings.h"
+#include "core/drive/node_index.h"
 
 namespace revisit::core {
+
+class PoseGraph;
 
 struct AgeRules {
   std::int64_t max_age_ns = 0;
@@ -76,18 +79,10 @@ class OldNodes {
   bool in_old_begin_ = true;
 };
 
-// A step forward of the stamps that is longer than the greatest age: once it is
-// believed, all that came before is too old.
-struct StampLeap {
-  // The pose at or after the node behind the step.
-  std::uint64_t sequence = 0;
-  std::int64_t nanoseconds = 0;
-};
-
-// Watches for such steps as a graph grows. A step is that from the last stamp
-// before a node's own two poses, at most kReach nodes and l before it, to the
-// node's stamp, so it is seen at once and no vote is needed. None leads over
-// poses that were dropped. O(1) per node.
+// Watches for leaps of the stamps (StampLeap) as a graph grows. A leap is the
+// step from the last stamp before a node's own two poses, at most kReach nodes
+// and l before it, to the node's stamp, so it is seen at once and no vote is
+// needed. None leads over poses that were dropped. O(1) per node.
 class LeapWatch {
  public:
   // No leap is seen without a greatest age.

@@ -6,6 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "core/base/number_text.h"
 #include "core/geometry/heading.h"
+#include "core/geometry/state_matrix.h"
 
 namespace revisit::core {
 namespace {

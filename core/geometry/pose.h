@@ -7,7 +7,6 @@
 #ifndef REVISIT_CORE_GEOMETRY_POSE_H_
 #define REVISIT_CORE_GEOMETRY_POSE_H_
 
-#include <Eigen/Core>
 #include <array>
 #include <cmath>
 #include <cstddef>
@@ -68,88 +67,6 @@ inline VarianceRange VariancesInAnyDirection(double xx, double xy, double yy) {
 struct ErrorTransition {
   std::array<double, 16> values{1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
 };
-
-// Index among (x, y, z, heading) of coordinate i of a D-dimensional state.
-template <int D>
-constexpr int StateIndex(int i) {
-  static_assert(D == 3 || D == 4);
-  return D == 3 && i == 2 ? 3 : i;
-}
-
-template <int D>
-using StateVector = Eigen::Matrix<double, D, 1>;
-template <int D>
-using StateMatrix = Eigen::Matrix<double, D, D>;
-
-template <int D>
-StateVector<D> ToVector(const Pose& pose) {
-  if constexpr (D == 3) {
-    return {pose.x, pose.y, pose.heading};
-  } else {
-    return {pose.x, pose.y, pose.z, pose.heading};
-  }
-}
-
-template <int D>
-StateMatrix<D> ToMatrix(const Covariance& covariance) {
-  StateMatrix<D> matrix;
-  for (int r = 0; r < D; ++r) {
-    for (int c = 0; c < D; ++c) {
-      matrix(r, c) = covariance(StateIndex<D>(r), StateIndex<D>(c));
-    }
-  }
-  return matrix;
-}
-
-template <int D>
-StateMatrix<D> ToMatrix(const ErrorTransition& transition) {
-  StateMatrix<D> matrix;
-  for (int r = 0; r < D; ++r) {
-    for (int c = 0; c < D; ++c) {
-      matrix(r, c) = transition.values[static_cast<std::size_t>(
-          4 * StateIndex<D>(r) + StateIndex<D>(c))];
-    }
-  }
-  return matrix;
-}
-
-// The matrix that turns a state by `angle` about z.
-template <int D>
-StateMatrix<D> TurnAbout(double angle) {
-  StateMatrix<D> turn = StateMatrix<D>::Identity();
-  const double c = std::cos(angle);
-  const double s = std::sin(angle);
-  turn(0, 0) = c;
-  turn(0, 1) = -s;
-  turn(1, 0) = s;
-  turn(1, 1) = c;
-  return turn;
-}
-
-// Reads the upper triangle. Entries of z are 0 if D is 3.
-template <int D>
-Covariance ToCovariance(const StateMatrix<D>& matrix) {
-  Covariance covariance;
-  for (int r = 0; r < D; ++r) {
-    for (int c = r; c < D; ++c) {
-      covariance(StateIndex<D>(r), StateIndex<D>(c)) = matrix(r, c);
-    }
-  }
-  return covariance;
-}
-
-// Entries of z are those of the identity if D is 3.
-template <int D>
-ErrorTransition ToErrorTransition(const StateMatrix<D>& matrix) {
-  ErrorTransition transition;
-  for (int r = 0; r < D; ++r) {
-    for (int c = 0; c < D; ++c) {
-      transition.values[static_cast<std::size_t>(
-          4 * StateIndex<D>(r) + StateIndex<D>(c))] = matrix(r, c);
-    }
-  }
-  return transition;
-}
 
 // One pose of the stream, as the estimator reports it.
 struct PoseSample {

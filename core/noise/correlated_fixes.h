@@ -17,6 +17,7 @@
 #include <cmath>
 
 #include "core/geometry/pose.h"
+#include "core/geometry/state_matrix.h"
 #include "core/noise/noise_model.h"
 #include "core/noise/path_pair.h"
 

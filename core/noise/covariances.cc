@@ -1,5 +1,6 @@
 #include "core/noise/covariances.h"
 
+#include "core/geometry/state_matrix.h"
 #include "core/noise/models.h"
 
 namespace revisit::core {

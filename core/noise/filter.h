@@ -8,6 +8,7 @@
 #define REVISIT_CORE_NOISE_FILTER_H_
 
 #include "core/geometry/pose.h"
+#include "core/geometry/state_matrix.h"
 #include "core/noise/dead_reckoning.h"
 #include "core/noise/noise_model.h"
 #include "core/noise/path_pair.h"

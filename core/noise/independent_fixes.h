@@ -4,6 +4,7 @@
 #define REVISIT_CORE_NOISE_INDEPENDENT_FIXES_H_
 
 #include "core/geometry/pose.h"
+#include "core/geometry/state_matrix.h"
 #include "core/noise/noise_model.h"
 #include "core/noise/path_pair.h"
 

@@ -2,6 +2,7 @@
 #ifndef REVISIT_CORE_NOISE_MODELS_H_
 #define REVISIT_CORE_NOISE_MODELS_H_
 
+#include "core/geometry/state_matrix.h"
 #include "core/noise/correlated_fixes.h"
 #include "core/noise/dead_reckoning.h"
 #include "core/noise/filter.h"

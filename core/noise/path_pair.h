@@ -10,6 +10,7 @@
 #define REVISIT_CORE_NOISE_PATH_PAIR_H_
 
 #include "core/geometry/pose.h"
+#include "core/geometry/state_matrix.h"
 
 namespace revisit::core {
 

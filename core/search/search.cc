@@ -5,10 +5,23 @@
 #include <utility>
 #include <vector>
 
+#include "core/drive/claimed_model.h"
+#include "core/drive/confirmed_loop.h"
+#include "core/drive/drive.h"
+#include "core/drive/dropped_stretch.h"
 #include "core/drive/node_range.h"
+#include "core/drive/pose_graph.h"
+#include "core/noise/noise_model.h"
+#include "core/search/alignment/history.h"
+#include "core/search/alignment/query.h"
+#include "core/search/alignment/relation.h"
+#include "core/search/alignment/relative.h"
+#include "core/search/belief/drive_belief.h"
+#include "core/search/belief/mark.h"
 #include "core/search/candidates/composite_search.h"
 #include "core/search/candidates/mark_search.h"
 #include "core/search/candidates/relative_search.h"
+#include "core/search/candidates/search_task.h"
 
 namespace revisit::core {
 namespace {
@@ -39,8 +52,110 @@ absl::Status FindCandidates(const SearchTask& task, CandidateSet* set) {
 
 }  // namespace
 
+class Search::Impl {
+ public:
+  explicit Impl(const Drive* drive) : drive_(*drive) {}
+
+  absl::StatusOr<CandidateSet> At(NodeIndex query, const SearchOptions& options,
+                                  const ShouldStop& should_stop);
+  absl::StatusOr<CandidateSet> AtEnd(const SearchOptions& options,
+                                     const ShouldStop& should_stop);
+  std::int64_t ComparisonsAt(NodeIndex query,
+                             const SearchOptions& options) const;
+  std::optional<MissingMark> FindMissingMark(NodeIndex query,
+                                             const SearchOptions& options);
+  absl::Status LearnMark(const MissingMark& missing,
+                         const ShouldStop& should_stop);
+  std::size_t mark_count() const { return marks_.size(); }
+
+ private:
+  // The nodes that are compared at a query.
+  struct Extent {
+    // Why there is nothing to compare.
+    std::optional<EmptyReason> empty;
+    // Nodes of the path that is aligned with the history.
+    std::int64_t aligned = 0;
+    NodeIndex history_size = 0;
+    std::int64_t comparisons = 0;
+  };
+  // The marks that show something at a query.
+  struct MarksBefore {
+    ScaleMarks of_scale;
+    std::int64_t first_of_drift;
+    std::int64_t last;
+  };
+
+  Extent ExtentOf(NodeIndex query, const SearchOptions& options) const;
+  // The same of a search, which may also be refused.
+  Extent ExtentOfSearch(NodeIndex query, const SearchOptions& options) const;
+  // REQUIRES: the query's segment has as many nodes as the sequence up to the
+  // query.
+  std::int64_t AlignedNodes(NodeIndex query, std::int64_t sequence_nodes,
+                            const SearchOptions& options) const;
+  Query QueryAt(NodeIndex node, const Extent& extent) const;
+  // The drive's own past, as far as it is compared with a query of this extent.
+  History PastOf(const Extent& extent, std::vector<NodeRange> not_sought) const;
+  // Searches the marks that are not known. Returns CANCELLED if told to stop.
+  absl::StatusOr<SearchPrior> PriorAt(NodeIndex query,
+                                      const SearchOptions& options,
+                                      const ShouldStop& should_stop);
+  MarksBefore FindMarksBefore(NodeIndex query) const;
+  // What the drive has shown before the query. Searches the marks that are not
+  // known. Returns CANCELLED if told to stop.
+  absl::StatusOr<DriveBelief> BeliefAt(NodeIndex query,
+                                       const ShouldStop& should_stop);
+  // Whether a mark shows the drift at the query.
+  bool ShowsDrift(const MarkEvidence& mark, NodeIndex query) const;
+  // The evidence of a mark at this node. `parts`: see SearchTask.
+  absl::StatusOr<MarkEvidence> EvidenceAt(
+      NodeIndex node, const ShouldStop& should_stop,
+      std::vector<AlignmentParts>* parts = nullptr) const;
+  MarkLine Marks() const;
+  // Whether a search with these options aligns the path that a mark there does.
+  bool AlignsAsMarks(const SearchOptions& options) const;
+  // Searches the mark at the query, if there is one that is not known. The
+  // parts are those of a search there.
+  void RememberIfMark(NodeIndex query, const ShouldStop& should_stop,
+                      std::vector<AlignmentParts>* parts);
+
+  const Drive& drive_;
+  MarkMemory marks_;
+};
+
+Search::Search(const Drive* drive) : impl_(std::make_unique<Impl>(drive)) {}
+
+Search::~Search() = default;
+
+absl::StatusOr<CandidateSet> Search::At(NodeIndex query,
+                                        const SearchOptions& options,
+                                        const ShouldStop& should_stop) {
+  return impl_->At(query, options, should_stop);
+}
+
 absl::StatusOr<CandidateSet> Search::AtEnd(const SearchOptions& options,
                                            const ShouldStop& should_stop) {
+  return impl_->AtEnd(options, should_stop);
+}
+
+std::int64_t Search::ComparisonsAt(NodeIndex query,
+                                   const SearchOptions& options) const {
+  return impl_->ComparisonsAt(query, options);
+}
+
+std::optional<Search::MissingMark> Search::FindMissingMark(
+    NodeIndex query, const SearchOptions& options) {
+  return impl_->FindMissingMark(query, options);
+}
+
+absl::Status Search::LearnMark(const MissingMark& missing,
+                               const ShouldStop& should_stop) {
+  return impl_->LearnMark(missing, should_stop);
+}
+
+std::size_t Search::mark_count() const { return impl_->mark_count(); }
+
+absl::StatusOr<CandidateSet> Search::Impl::AtEnd(
+    const SearchOptions& options, const ShouldStop& should_stop) {
   const NodeIndex size = drive_.graph().size();
   if (size == 0) {
     CandidateSet empty;
@@ -50,9 +165,9 @@ absl::StatusOr<CandidateSet> Search::AtEnd(const SearchOptions& options,
   return At(size - 1, options, should_stop);
 }
 
-absl::StatusOr<CandidateSet> Search::At(NodeIndex query,
-                                        const SearchOptions& options,
-                                        const ShouldStop& should_stop) {
+absl::StatusOr<CandidateSet> Search::Impl::At(NodeIndex query,
+                                              const SearchOptions& options,
+                                              const ShouldStop& should_stop) {
   assert(query >= 0 && query < drive_.graph().size());
   assert(FindProblems(options, drive_.settings()).empty());
   CandidateSet set;
@@ -83,8 +198,8 @@ absl::StatusOr<CandidateSet> Search::At(NodeIndex query,
   return set;
 }
 
-Search::Extent Search::ExtentOf(NodeIndex query,
-                                const SearchOptions& options) const {
+Search::Impl::Extent Search::Impl::ExtentOf(
+    NodeIndex query, const SearchOptions& options) const {
   Extent extent;
   const std::int64_t steps = SequenceNodes(
       options.sequence_length_meters, drive_.settings().node_spacing_meters);
@@ -105,8 +220,8 @@ Search::Extent Search::ExtentOf(NodeIndex query,
   return extent;
 }
 
-Search::Extent Search::ExtentOfSearch(NodeIndex query,
-                                      const SearchOptions& options) const {
+Search::Impl::Extent Search::Impl::ExtentOfSearch(
+    NodeIndex query, const SearchOptions& options) const {
   Extent extent = ExtentOf(query, options);
   if (extent.empty) return extent;
   if (drive_.graph().node(query).travelled_meters -
@@ -120,19 +235,19 @@ Search::Extent Search::ExtentOfSearch(NodeIndex query,
   return extent;
 }
 
-Search::MarksBefore Search::FindMarksBefore(NodeIndex query) const {
+Search::Impl::MarksBefore Search::Impl::FindMarksBefore(NodeIndex query) const {
   const std::int64_t last = Marks().LastBefore(query);
   return {ScaleMarks(last), std::max<std::int64_t>(1, last - kDriftMarks + 1),
           last};
 }
 
-std::int64_t Search::ComparisonsAt(NodeIndex query,
-                                   const SearchOptions& options) const {
+std::int64_t Search::Impl::ComparisonsAt(NodeIndex query,
+                                         const SearchOptions& options) const {
   const Extent extent = ExtentOfSearch(query, options);
   return extent.empty ? 0 : extent.comparisons;
 }
 
-std::optional<Search::MissingMark> Search::FindMissingMark(
+std::optional<Search::MissingMark> Search::Impl::FindMissingMark(
     NodeIndex query, const SearchOptions& options) {
   if (!BeginsWithBelief(options, drive_.settings())) return std::nullopt;
   const Extent search = ExtentOfSearch(query, options);
@@ -153,16 +268,16 @@ std::optional<Search::MissingMark> Search::FindMissingMark(
   return std::nullopt;
 }
 
-absl::Status Search::LearnMark(const MissingMark& missing,
-                               const ShouldStop& should_stop) {
+absl::Status Search::Impl::LearnMark(const MissingMark& missing,
+                                     const ShouldStop& should_stop) {
   const absl::StatusOr<MarkEvidence> found =
       EvidenceAt(Marks().NodeOf(missing.mark), should_stop);
   if (found.ok()) marks_.Keep(missing.mark, *found);
   return found.status();
 }
 
-absl::StatusOr<DriveBelief> Search::BeliefAt(NodeIndex query,
-                                             const ShouldStop& should_stop) {
+absl::StatusOr<DriveBelief> Search::Impl::BeliefAt(
+    NodeIndex query, const ShouldStop& should_stop) {
   marks_.Enter(drive_.mark_settings_version());
   const MarkLine line = Marks();
   const auto evidence =
@@ -193,12 +308,12 @@ absl::StatusOr<DriveBelief> Search::BeliefAt(NodeIndex query,
   return belief;
 }
 
-MarkLine Search::Marks() const {
+MarkLine Search::Impl::Marks() const {
   return {drive_.graph(), MarkSpacing(drive_.settings()), drive_.dropped()};
 }
 
 // Whether a search with these options aligns the path that a mark there does.
-bool Search::AlignsAsMarks(const SearchOptions& options) const {
+bool Search::Impl::AlignsAsMarks(const SearchOptions& options) const {
   const SearchOptions& own = drive_.settings().search;
   return own.alignment == options.alignment &&
          own.sequence_length_meters == options.sequence_length_meters &&
@@ -207,8 +322,9 @@ bool Search::AlignsAsMarks(const SearchOptions& options) const {
 }
 
 // The next search will need the mark, which now takes less.
-void Search::RememberIfMark(NodeIndex query, const ShouldStop& should_stop,
-                            std::vector<AlignmentParts>* parts) {
+void Search::Impl::RememberIfMark(NodeIndex query,
+                                  const ShouldStop& should_stop,
+                                  std::vector<AlignmentParts>* parts) {
   const MarkLine line = Marks();
   const std::int64_t mark = line.LastBefore(query) + 1;
   if (mark < 1 || line.NodeOf(mark) != query || marks_.Find(mark)) return;
@@ -219,7 +335,7 @@ void Search::RememberIfMark(NodeIndex query, const ShouldStop& should_stop,
 
 // What a verifier has judged counts for more: a closure shows the drift better
 // than earlier marks do, and a place that was rejected shows none.
-bool Search::ShowsDrift(const MarkEvidence& mark, NodeIndex query) const {
+bool Search::Impl::ShowsDrift(const MarkEvidence& mark, NodeIndex query) const {
   if (!mark.matched) return false;
   if (const auto closure = drive_.LastConfirmed(query)) {
     if (mark.node <= std::max(closure->query, closure->matched)) return false;
@@ -232,7 +348,7 @@ bool Search::ShowsDrift(const MarkEvidence& mark, NodeIndex query) const {
       });
 }
 
-absl::StatusOr<MarkEvidence> Search::EvidenceAt(
+absl::StatusOr<MarkEvidence> Search::Impl::EvidenceAt(
     NodeIndex node, const ShouldStop& should_stop,
     std::vector<AlignmentParts>* parts) const {
   const SearchOptions options = MarkOptions(drive_.settings().search);
@@ -254,20 +370,20 @@ absl::StatusOr<MarkEvidence> Search::EvidenceAt(
                  parts});
 }
 
-Query Search::QueryAt(NodeIndex node, const Extent& extent) const {
+Query Search::Impl::QueryAt(NodeIndex node, const Extent& extent) const {
   return {drive_.graph(), node, extent.aligned, &drive_.motion_history()};
 }
 
-History Search::PastOf(const Extent& extent,
-                       std::vector<NodeRange> not_sought) const {
+History Search::Impl::PastOf(const Extent& extent,
+                             std::vector<NodeRange> not_sought) const {
   return {drive_.graph(),         extent.history_size,
           std::move(not_sought),  &drive_.motion_history().heading_bins(),
           &drive_.block_bounds(), Relation()};
 }
 
-absl::StatusOr<SearchPrior> Search::PriorAt(NodeIndex query,
-                                            const SearchOptions& options,
-                                            const ShouldStop& should_stop) {
+absl::StatusOr<SearchPrior> Search::Impl::PriorAt(
+    NodeIndex query, const SearchOptions& options,
+    const ShouldStop& should_stop) {
   SearchPrior prior;
   prior.similarity = drive_.SimilarityOf(options);
   prior.last_confirmed = drive_.LastConfirmed(query);
@@ -278,8 +394,9 @@ absl::StatusOr<SearchPrior> Search::PriorAt(NodeIndex query,
   return prior;
 }
 
-std::int64_t Search::AlignedNodes(NodeIndex query, std::int64_t sequence_nodes,
-                                  const SearchOptions& options) const {
+std::int64_t Search::Impl::AlignedNodes(NodeIndex query,
+                                        std::int64_t sequence_nodes,
+                                        const SearchOptions& options) const {
   if (options.alignment == AlignmentKind::kComposite ||
       !NoiseOf(options.correlation_model).long_overlaps_tell) {
     return sequence_nodes;

@@ -3,6 +3,9 @@
 #include <algorithm>
 #include <string>
 
+#include "core/drive/dropped_stretch.h"
+#include "core/drive/findings.h"
+#include "core/drive/pose_graph.h"
 #include "core/settings.h"
 #include "server/conversion/findings.h"
 #include "server/conversion/names.h"

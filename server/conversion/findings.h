@@ -5,7 +5,7 @@
 
 #include <cstdint>
 
-#include "core/search/candidates/model_check.h"
+#include "core/drive/findings.h"
 #include "revisit/v1/pose_graph_service.pb.h"
 #include "revisit/v1/vehicle.pb.h"
 #include "server/sessions/append_request.h"

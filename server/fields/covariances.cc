@@ -4,6 +4,7 @@
 #include <cstddef>
 
 #include "absl/strings/str_cat.h"
+#include "core/geometry/state_matrix.h"
 
 namespace revisit::server {
 namespace {

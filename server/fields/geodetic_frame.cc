@@ -3,6 +3,8 @@
 #include <cmath>
 #include <cstddef>
 
+#include "core/geometry/state_matrix.h"
+
 namespace revisit::server {
 namespace {
 

@@ -3,7 +3,7 @@
 #define REVISIT_SERVER_FIELDS_LOOP_MEASUREMENT_H_
 
 #include "absl/status/statusor.h"
-#include "core/search/alignment/confirmed_loop.h"
+#include "core/drive/measured_loop.h"
 #include "core/settings.h"
 #include "server/fields/field_violations.h"
 #include "server/fields/pose_fields.h"

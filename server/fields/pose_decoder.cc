@@ -6,6 +6,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/base/number_text.h"
+#include "core/geometry/pose.h"
 #include "server/base/sequences.h"
 #include "server/fields/covariances.h"
 #include "server/fields/timestamps.h"

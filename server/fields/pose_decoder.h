@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "core/drive/drive.h"
+#include "core/geometry/pose.h"
 #include "server/fields/field_violations.h"
 #include "server/fields/geodetic_frame.h"
 #include "server/fields/pose_fields.h"

@@ -9,7 +9,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "core/search/alignment/confirmed_loop.h"
+#include "core/drive/measured_loop.h"
 #include "core/settings.h"
 #include "server/fields/pose_fields.h"
 

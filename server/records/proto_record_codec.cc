@@ -8,6 +8,9 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "core/drive/dropped_stretch.h"
+#include "core/drive/measured_loop.h"
+#include "core/geometry/pose.h"
 #include "google/protobuf/arena.h"
 #include "google/protobuf/io/coded_stream.h"
 #include "server/base/status.h"

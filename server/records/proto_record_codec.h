@@ -10,6 +10,8 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "core/drive/dropped_stretch.h"
+#include "core/drive/measured_loop.h"
 #include "server/sessions/record_codec.h"
 #include "server/storage/records.h"
 

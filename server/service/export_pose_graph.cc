@@ -9,6 +9,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/base/mutex.h"
+#include "core/drive/pose_graph.h"
 #include "grpcpp/alarm.h"
 #include "revisit/v1/pose_graph_service.pb.h"
 #include "server/base/status.h"

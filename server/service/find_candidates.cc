@@ -6,6 +6,8 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/drive/drive.h"
+#include "core/drive/pose_graph.h"
+#include "core/settings.h"
 #include "server/base/status.h"
 #include "server/conversion/answers.h"
 #include "server/conversion/vehicle_settings.h"

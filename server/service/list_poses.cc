@@ -7,6 +7,7 @@
 #include <string>
 
 #include "absl/strings/str_cat.h"
+#include "core/drive/dropped_stretch.h"
 #include "google/protobuf/util/field_mask_util.h"
 #include "server/conversion/page_token.h"
 #include "server/fields/field_violations.h"

@@ -8,7 +8,7 @@
 
 #include "absl/status/statusor.h"
 #include "absl/strings/str_cat.h"
-#include "core/search/candidates/agreement.h"
+#include "core/drive/agreement.h"
 #include "google/protobuf/repeated_field.h"
 #include "server/conversion/names.h"
 #include "server/conversion/page_token.h"

@@ -10,6 +10,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/base/mutex.h"
+#include "core/drive/dropped_stretch.h"
 #include "revisit/v1/pose_graph_service.pb.h"
 #include "server/base/status.h"
 #include "server/connections/drain.h"

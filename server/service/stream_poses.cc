@@ -13,6 +13,8 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/base/mutex.h"
+#include "core/geometry/pose.h"
+#include "core/settings.h"
 #include "google/protobuf/arena.h"
 #include "grpcpp/alarm.h"
 #include "server/base/sequences.h"

@@ -5,6 +5,8 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "core/geometry/pose.h"
+#include "core/settings.h"
 #include "server/base/sequences.h"
 #include "server/sessions/search_turns.h"
 #include "server/sessions/server_clock.h"

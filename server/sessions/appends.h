@@ -12,6 +12,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/drive/drive.h"
+#include "core/geometry/pose.h"
 #include "server/sessions/append_request.h"
 #include "server/sessions/appends_in_flight.h"
 #include "server/sessions/pose_dropper.h"

@@ -3,6 +3,9 @@
 #include <algorithm>
 
 #include "absl/strings/str_cat.h"
+#include "core/drive/measured_loop.h"
+#include "core/drive/pose_graph.h"
+#include "core/settings.h"
 #include "server/storage/storage.h"
 
 namespace revisit::server {

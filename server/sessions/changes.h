@@ -13,7 +13,8 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "core/search/candidates/agreement.h"
+#include "core/drive/agreement.h"
+#include "core/drive/measured_loop.h"
 #include "server/sessions/replay.h"
 #include "server/sessions/vehicle_queue.h"
 #include "server/sessions/vehicle_state.h"

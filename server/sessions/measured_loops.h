@@ -12,8 +12,8 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "core/drive/measured_loop.h"
 #include "core/geometry/pose.h"
-#include "core/search/alignment/confirmed_loop.h"
 #include "server/sessions/vehicle_state.h"
 #include "server/storage/records.h"
 

@@ -6,6 +6,8 @@
 #include <utility>
 #include <vector>
 
+#include "core/drive/node_range.h"
+#include "core/drive/pose_graph.h"
 #include "server/sessions/server_clock.h"
 #include "server/storage/storage.h"
 

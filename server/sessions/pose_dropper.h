@@ -16,7 +16,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/drive/dropped_stretch.h"
-#include "core/drive/pose_graph.h"
+#include "core/drive/node_index.h"
 #include "core/drive/retention.h"
 #include "core/geometry/pose.h"
 #include "server/sessions/replay.h"

@@ -11,8 +11,8 @@
 
 #include "absl/status/statusor.h"
 #include "core/drive/dropped_stretch.h"
+#include "core/drive/measured_loop.h"
 #include "core/geometry/pose.h"
-#include "core/search/alignment/confirmed_loop.h"
 #include "server/sessions/vehicle_config.h"
 #include "server/storage/records.h"
 

@@ -7,6 +7,8 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "core/drive/measured_loop.h"
+#include "core/settings.h"
 #include "server/sessions/snapshots.h"
 #include "server/storage/storage.h"
 

@@ -14,6 +14,8 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/drive/drive.h"
+#include "core/drive/findings.h"
+#include "core/drive/measured_loop.h"
 #include "server/sessions/measured_loops.h"
 #include "server/sessions/vehicle_queue.h"
 #include "server/sessions/vehicle_state.h"

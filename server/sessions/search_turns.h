@@ -11,9 +11,9 @@
 #include <optional>
 
 #include "absl/status/statusor.h"
-#include "core/drive/pose_graph.h"
-#include "core/search/alignment/viterbi.h"
+#include "core/drive/node_index.h"
 #include "core/search/candidates/candidate.h"
+#include "core/search/should_stop.h"
 #include "core/settings.h"
 #include "server/sessions/vehicle_view.h"
 

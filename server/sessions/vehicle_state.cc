@@ -4,6 +4,8 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "core/drive/pose_graph.h"
+#include "core/geometry/pose.h"
 #include "server/storage/storage.h"
 
 namespace revisit::server {

@@ -1,12 +1,17 @@
 #include "server/sessions/vehicle_view.h"
 
 #include "absl/strings/str_cat.h"
+#include "core/drive/dropped_stretch.h"
 #include "server/base/status.h"
 
 namespace revisit::server {
 
 using absl::StatusCode;
 using absl::StrCat;
+
+std::uint64_t VehicleView::first_kept_sequence() const {
+  return drive.dropped().KeptFrom(1);
+}
 
 absl::Status PoseNotFound(const std::string& vehicle_id, std::uint64_t sequence,
                           std::uint64_t durable_sequence) {

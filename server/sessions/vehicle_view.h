@@ -40,9 +40,7 @@ struct VehicleView {
   core::Search* search = nullptr;
 
   // Sequence of the first pose that is kept.
-  std::uint64_t first_kept_sequence() const {
-    return drive.dropped().KeptFrom(1);
-  }
+  std::uint64_t first_kept_sequence() const;
 
   const PosePairs& pairs(PairKind kind) const {
     return kind == PairKind::kLoopClosure ? *loop_closures

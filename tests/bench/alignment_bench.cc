@@ -7,13 +7,19 @@
 #include <utility>
 #include <vector>
 
+#include "core/drive/block_bounds.h"
 #include "core/drive/drive.h"
+#include "core/drive/motion_history.h"
+#include "core/drive/pose_graph.h"
+#include "core/geometry/pose.h"
+#include "core/noise/similarity_model.h"
 #include "core/search/alignment/log_similarity.h"
 #include "core/search/alignment/relative.h"
 #include "core/search/alignment/viterbi.h"
 #include "core/search/belief/mark.h"
 #include "core/search/candidates/gate.h"
 #include "core/search/search.h"
+#include "core/settings.h"
 #include "tests/bench/eigen_alignment.h"
 #include "tests/bench/machine_limits.h"
 #include "tests/bench/roads.h"

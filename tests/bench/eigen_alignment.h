@@ -13,6 +13,7 @@
 #include "core/drive/pose_graph.h"
 #include "core/geometry/heading.h"
 #include "core/geometry/pose.h"
+#include "core/geometry/state_matrix.h"
 #include "core/search/alignment/log_similarity.h"
 
 namespace revisit::bench {

@@ -20,8 +20,12 @@
 #include <vector>
 
 #include "core/drive/drive.h"
+#include "core/drive/pose_graph.h"
 #include "core/geometry/heading.h"
+#include "core/geometry/pose.h"
+#include "core/geometry/state_matrix.h"
 #include "core/search/search.h"
+#include "core/settings.h"
 #include "tests/random.h"
 
 namespace revisit::core {

@@ -8,10 +8,11 @@
 #include <random>
 #include <vector>
 
+#include "core/drive/confirmed_loop.h"
 #include "core/drive/pose_graph.h"
 #include "core/geometry/heading.h"
 #include "core/geometry/pose.h"
-#include "core/search/alignment/confirmed_loop.h"
+#include "core/geometry/state_matrix.h"
 #include "tests/random.h"
 
 namespace revisit::core {

@@ -15,7 +15,9 @@
 #include "core/drive/drive.h"
 #include "core/drive/pose_graph.h"
 #include "core/geometry/pose.h"
+#include "core/geometry/state_matrix.h"
 #include "core/noise/dead_reckoning.h"
+#include "core/settings.h"
 
 namespace revisit::core {
 namespace {

@@ -19,7 +19,10 @@
 #include "client/formats/drive_file.h"
 #include "client/trajectory/dead_reckoning.h"
 #include "core/drive/drive.h"
+#include "core/drive/pose_graph.h"
+#include "core/geometry/pose.h"
 #include "core/search/alignment/relative.h"
+#include "core/settings.h"
 
 namespace {
 

@@ -8,6 +8,9 @@
 #include <vector>
 
 #include "core/drive/drive.h"
+#include "core/drive/dropped_stretch.h"
+#include "core/geometry/pose.h"
+#include "core/settings.h"
 #include "revisit/v1/pose_graph_service.pb.h"
 #include "revisit/v1/vehicle.pb.h"
 #include "server/conversion/answers.h"

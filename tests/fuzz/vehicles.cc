@@ -5,7 +5,9 @@
 #include <optional>
 
 #include "core/drive/drive.h"
+#include "core/geometry/pose.h"
 #include "core/search/search.h"
+#include "core/settings.h"
 #include "server/base/status.h"
 #include "server/base/status_grpc.h"
 

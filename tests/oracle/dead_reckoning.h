@@ -13,6 +13,7 @@
 
 #include "core/geometry/heading.h"
 #include "core/geometry/pose.h"
+#include "core/geometry/state_matrix.h"
 #include "tests/random.h"
 
 namespace revisit::oracle {

@@ -15,6 +15,7 @@
 #include <vector>
 
 #include "core/drive/pose_graph.h"
+#include "core/geometry/pose.h"
 #include "core/search/alignment/shape_filter.h"
 #include "tests/oracle/motion_by_loops.h"
 #include "tests/oracle/wide_state.h"

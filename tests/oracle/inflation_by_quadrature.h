@@ -9,8 +9,9 @@
 #include <cmath>
 #include <vector>
 
+#include "core/drive/confirmed_loop.h"
+#include "core/drive/consistency_monitor.h"
 #include "core/drive/pose_graph.h"
-#include "core/search/candidates/consistency.h"
 #include "tests/oracle/wide_state.h"
 
 namespace revisit::oracle {

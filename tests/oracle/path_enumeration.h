@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "core/drive/pose_graph.h"
+#include "core/noise/similarity_model.h"
 #include "core/search/alignment/log_similarity.h"
 
 namespace revisit::oracle {

@@ -13,6 +13,8 @@
 #include <vector>
 
 #include "core/drive/node_noise.h"
+#include "core/drive/node_range.h"
+#include "core/drive/pose_graph.h"
 #include "core/drive/retention.h"
 #include "core/geometry/heading.h"
 

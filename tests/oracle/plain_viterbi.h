@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "core/drive/pose_graph.h"
+#include "core/noise/similarity_model.h"
 #include "core/search/alignment/log_similarity.h"
 #include "tests/oracle/path_enumeration.h"
 

@@ -15,7 +15,10 @@
 #include <utility>
 #include <vector>
 
+#include "core/drive/confirmed_loop.h"
 #include "core/drive/pose_graph.h"
+#include "core/geometry/pose.h"
+#include "core/noise/similarity_model.h"
 #include "core/search/alignment/known_drift.h"
 #include "core/search/alignment/relative.h"
 #include "tests/oracle/dense_window.h"

@@ -10,10 +10,10 @@
 #include <cmath>
 #include <optional>
 
+#include "core/drive/confirmed_loop.h"
 #include "core/drive/node_noise.h"
 #include "core/drive/pose_graph.h"
 #include "core/geometry/pose.h"
-#include "core/search/alignment/confirmed_loop.h"
 
 namespace revisit::oracle {
 

@@ -5,6 +5,10 @@
 #include <functional>
 #include <sstream>
 
+#include "core/drive/confirmed_loop.h"
+#include "core/drive/dropped_stretch.h"
+#include "core/geometry/pose.h"
+
 namespace revisit::server {
 namespace {
 

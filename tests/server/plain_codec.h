@@ -10,6 +10,8 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "core/drive/confirmed_loop.h"
+#include "core/drive/dropped_stretch.h"
 #include "server/sessions/record_codec.h"
 
 namespace revisit::server {

@@ -5,6 +5,10 @@
 #include <cmath>
 #include <limits>
 
+#include "core/drive/confirmed_loop.h"
+#include "core/geometry/state_matrix.h"
+#include "core/noise/similarity_model.h"
+
 namespace revisit::core {
 
 bool Reaches(const WeighedDrift& drift, NodeIndex first) {

@@ -15,7 +15,10 @@
 #include <optional>
 #include <vector>
 
+#include "core/drive/confirmed_loop.h"
 #include "core/drive/pose_graph.h"
+#include "core/geometry/state_matrix.h"
+#include "core/noise/similarity_model.h"
 #include "core/search/alignment/differences.h"
 #include "core/search/alignment/history.h"
 #include "core/search/alignment/log_similarity.h"

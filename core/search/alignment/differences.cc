@@ -4,7 +4,10 @@
 #include <cassert>
 #include <numeric>
 
+#include "core/drive/confirmed_loop.h"
 #include "core/drive/node_noise.h"
+#include "core/geometry/state_matrix.h"
+#include "core/noise/similarity_model.h"
 
 namespace revisit::core {
 

@@ -7,9 +7,11 @@
 #include <cstddef>
 #include <optional>
 
+#include "core/drive/confirmed_loop.h"
 #include "core/drive/pose_graph.h"
 #include "core/geometry/pose.h"
 #include "core/noise/filter.h"
+#include "core/noise/similarity_model.h"
 #include "core/search/alignment/history.h"
 #include "core/search/alignment/known_drift.h"
 #include "core/search/alignment/log_similarity.h"

@@ -3,6 +3,9 @@
 #include <algorithm>
 #include <utility>
 
+#include "core/drive/pose_graph.h"
+#include "core/search/should_stop.h"
+
 namespace revisit::core {
 namespace {
 

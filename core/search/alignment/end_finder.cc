@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "core/geometry/state_matrix.h"
+#include "core/search/alignment/log_similarity.h"
 #include "core/search/alignment/recent_path.h"
 #include "core/search/alignment/search_bounds.h"
 

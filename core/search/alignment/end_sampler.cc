@@ -6,6 +6,7 @@
 
 #include "core/search/alignment/anchors.h"
 #include "core/search/alignment/search_bounds.h"
+#include "core/search/should_stop.h"
 
 namespace revisit::core {
 

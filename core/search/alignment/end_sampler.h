@@ -16,6 +16,7 @@
 #include "core/search/alignment/search_progress.h"
 #include "core/search/alignment/similarity_kernel.h"
 #include "core/search/alignment/viterbi.h"
+#include "core/search/should_stop.h"
 
 namespace revisit::core {
 

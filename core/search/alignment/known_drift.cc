@@ -4,7 +4,10 @@
 #include <cassert>
 
 #include "core/geometry/heading.h"
+#include "core/geometry/quadratic_form.h"
+#include "core/geometry/state_matrix.h"
 #include "core/noise/dead_reckoning.h"
+#include "core/noise/similarity_model.h"
 
 namespace revisit::core {
 

@@ -16,9 +16,11 @@
 
 #include <optional>
 
+#include "core/drive/confirmed_loop.h"
 #include "core/drive/pose_graph.h"
 #include "core/geometry/pose.h"
-#include "core/search/alignment/confirmed_loop.h"
+#include "core/geometry/state_matrix.h"
+#include "core/noise/similarity_model.h"
 #include "core/search/alignment/log_similarity.h"
 #include "core/search/alignment/query.h"
 #include "core/search/alignment/similarity_kernel.h"

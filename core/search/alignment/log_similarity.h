@@ -17,59 +17,18 @@
 #include "core/drive/node_noise.h"
 #include "core/drive/pose_graph.h"
 #include "core/geometry/pose.h"
+#include "core/geometry/quadratic_form.h"
+#include "core/geometry/state_matrix.h"
 #include "core/noise/comparison.h"
 #include "core/noise/noise_model.h"
+#include "core/noise/similarity_model.h"
 #include "core/search/alignment/similarity_kernel.h"
 
 namespace revisit::core {
 
-// Adds R to gamma.
-template <int D>
-void AddTolerance(const PlaceTolerance& tolerance, StateMatrix<D>* gamma) {
-  const double position = tolerance.position_meters;
-  const double heading = tolerance.heading_radians;
-  for (int i = 0; i + 1 < D; ++i) (*gamma)(i, i) += position * position;
-  (*gamma)(D - 1, D - 1) += heading * heading;
-}
-
-struct SimilarityModel {
-  StateSpace state_space = StateSpace::kPlanar;
-  Correlation correlation;
-  LikelihoodForm form = LikelihoodForm::kGaussian;
-  PlaceTolerance tolerance;
-  Direction direction = Direction::kSame;
-  // Multiplies the claimed standard deviations; at least 1.
-  double inflation = 1.0;
-};
-
-// The claimed covariance of a difference, inflated, plus R.
-template <int D>
-StateMatrix<D> ToleratedCovariance(const SimilarityModel& model,
-                                   const StateMatrix<D>& gamma) {
-  StateMatrix<D> sum = (model.inflation * model.inflation) * gamma;
-  AddTolerance<D>(model.tolerance, &sum);
-  return sum;
-}
-
-// a - b, for kOpposite with one of the headings turned by pi.
-Pose PassDifference(const SimilarityModel& model, const Pose& a, const Pose& b);
-
 // Log-similarity of the impossible: Gamma is not positive definite in double
 // precision, or no path leads to the node.
 inline constexpr double kImpossible = -std::numeric_limits<double>::infinity();
-
-// The terms of a Gaussian in d with covariance gamma.
-struct QuadraticForm {
-  double squared_mahalanobis = 0.0;  // d^T gamma^-1 d
-  double log_determinant = 0.0;      // ln|gamma|
-};
-
-// Computed by LDL^T. Nothing if a pivot is not above kPivotTolerance times its
-// diagonal entry: as far as double precision shows, gamma is not positive
-// definite then.
-template <int D>
-std::optional<QuadraticForm> Evaluate(const StateMatrix<D>& gamma,
-                                      const StateVector<D>& d);
 
 // lambda(i,j) of two nodes in any order; kImpossible if ill-conditioned. O(1)
 // where the noise model has a closed form, else O(|i - j|).

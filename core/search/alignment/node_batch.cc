@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <numeric>
 
+#include "core/drive/node_range.h"
+
 namespace revisit::core {
 
 BlockNodes SoughtIn(const History& history, std::size_t k) {

@@ -29,11 +29,12 @@ class NodeBatch {
         anchors_(inputs.query, inputs.history, inputs.model, direction) {}
 
   // Takes the nodes of block k. `next`: the block that will be asked for after
-  // it. REQUIRES: where the noise model has no closed form, k falls from call to
-  // call.
+  // it. REQUIRES: where the noise model has no closed form, k falls from call
+  // to call.
   void TakeBlock(std::size_t k, std::size_t next);
-  // Takes copies of these nodes. REQUIRES: NoiseModel::neighbours_err_alike; the
-  // same drifts reach into the blocks of all; count in [1, NodeBlock::kSize].
+  // Takes copies of these nodes. REQUIRES: NoiseModel::neighbours_err_alike;
+  // the same drifts reach into the blocks of all; count in [1,
+  // NodeBlock::kSize].
   void Gather(const NodeIndex* nodes, std::size_t count);
 
   std::size_t size() const { return size_; }

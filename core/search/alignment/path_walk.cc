@@ -4,9 +4,10 @@
 #include <array>
 #include <cmath>
 
+#include "core/drive/confirmed_loop.h"
 #include "core/geometry/heading.h"
 #include "core/geometry/pose.h"
-#include "core/search/alignment/confirmed_loop.h"
+#include "core/geometry/state_matrix.h"
 
 namespace revisit::core {
 namespace {

@@ -20,6 +20,7 @@
 #include <vector>
 
 #include "core/drive/pose_graph.h"
+#include "core/geometry/state_matrix.h"
 #include "core/search/alignment/history.h"
 #include "core/search/alignment/log_similarity.h"
 #include "core/search/alignment/pose_table.h"

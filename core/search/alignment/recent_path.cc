@@ -1,5 +1,7 @@
 #include "core/search/alignment/recent_path.h"
 
+#include "core/geometry/state_matrix.h"
+
 namespace revisit::core {
 
 template <int D>

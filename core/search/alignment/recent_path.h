@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "core/geometry/pose.h"
+#include "core/geometry/state_matrix.h"
 #include "core/search/alignment/query.h"
 #include "core/search/alignment/relative_model.h"
 #include "core/search/alignment/shape_filter.h"

@@ -2,6 +2,9 @@
 
 #include <cassert>
 
+#include "core/geometry/state_matrix.h"
+#include "core/noise/similarity_model.h"
+
 namespace revisit::core {
 
 Pose Relation::Difference(const SimilarityModel& model, const Pose& query,

@@ -17,9 +17,11 @@
 //   lies before q: distances along the path and cross-covariances are those of
 //   the asking drive.
 //
-// Whoever needs any of this asks a relation, and nothing else takes the two for
-// one graph. Within one history, distances along the path and loop closures are
-// those of its own graph.
+// Whoever needs any of this asks a relation. Beside it, only the following take
+// the two for one graph: Differences (differences.h), with the kernel and with
+// what closures have shown of the drift (known_drift.h), and the paper's
+// alignment (composite_search.h). Within one history, distances along the path
+// and loop closures are those of its own graph.
 #ifndef REVISIT_CORE_SEARCH_ALIGNMENT_RELATION_H_
 #define REVISIT_CORE_SEARCH_ALIGNMENT_RELATION_H_
 
@@ -29,6 +31,8 @@
 #include "core/drive/node_noise.h"
 #include "core/drive/pose_graph.h"
 #include "core/geometry/pose.h"
+#include "core/geometry/state_matrix.h"
+#include "core/noise/similarity_model.h"
 #include "core/search/alignment/log_similarity.h"
 #include "core/search/alignment/query.h"
 

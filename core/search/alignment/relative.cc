@@ -7,6 +7,9 @@
 #include <memory>
 #include <utility>
 
+#include "core/drive/node_range.h"
+#include "core/geometry/state_matrix.h"
+#include "core/search/alignment/anchors.h"
 #include "core/search/alignment/direction_search.h"
 #include "core/search/alignment/heading_match.h"
 #include "core/search/alignment/pose_table.h"

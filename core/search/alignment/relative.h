@@ -62,6 +62,7 @@
 #include "core/search/alignment/relative_model.h"
 #include "core/search/alignment/scored_ends.h"
 #include "core/search/alignment/viterbi.h"
+#include "core/search/should_stop.h"
 
 namespace revisit::core {
 
@@ -121,8 +122,8 @@ class RelativeAlignment {
 // ends are pruned. Returns nothing if told to stop. REQUIRES: the recent path
 // lies in one segment, and may begin in the history; the history's graph
 // outlives the answer. `parts`, if not null, are empty or come from an
-// alignment of the same query and history, and a model with the same
-// similarity, shape and spacings.
+// alignment of the same query and the same nodes of the history, whichever are
+// sought, and a model with the same similarity, shape and spacings.
 std::optional<RelativeAlignment> AlignRelative(const Query& query,
                                                const History& history,
                                                const RelativeModel& model,

@@ -7,8 +7,11 @@
 #include <optional>
 #include <vector>
 
+#include "core/drive/block_bounds.h"
+#include "core/drive/confirmed_loop.h"
+#include "core/drive/motion_history.h"
 #include "core/drive/node_range.h"
-#include "core/search/alignment/confirmed_loop.h"
+#include "core/noise/similarity_model.h"
 #include "core/search/alignment/log_similarity.h"
 #include "core/search/alignment/scored_ends.h"
 #include "core/search/alignment/shape_filter.h"

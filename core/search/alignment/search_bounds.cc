@@ -6,6 +6,9 @@
 #include <utility>
 
 #include "core/geometry/heading.h"
+#include "core/geometry/quadratic_form.h"
+#include "core/geometry/state_matrix.h"
+#include "core/noise/similarity_model.h"
 #include "core/search/alignment/log_similarity.h"
 
 namespace revisit::core {

@@ -10,6 +10,7 @@
 
 #include "core/drive/block_bounds.h"
 #include "core/drive/pose_graph.h"
+#include "core/geometry/state_matrix.h"
 #include "core/search/alignment/history.h"
 #include "core/search/alignment/query.h"
 #include "core/search/alignment/recent_path.h"
@@ -27,8 +28,8 @@ inline constexpr double kBoundSlack = 1e-6;
 inline constexpr std::size_t kLeastStride = 16;
 inline constexpr std::size_t kEnoughSamples = 16384;
 
-// A bound is for the log-odds of one end, or for those of all ends within half a
-// stride of it, as far as errors there are about the same.
+// A bound is for the log-odds of one end, or for those of all ends within half
+// a stride of it, as far as errors there are about the same.
 enum class BoundOf { kEnd, kEndsAround };
 
 template <int D>

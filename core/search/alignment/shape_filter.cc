@@ -5,6 +5,9 @@
 #include <cassert>
 #include <cmath>
 
+#include "core/geometry/state_matrix.h"
+#include "core/noise/similarity_model.h"
+
 namespace revisit::core {
 namespace {
 

@@ -53,6 +53,7 @@
 #include "core/drive/turn_pairs.h"
 #include "core/geometry/heading.h"
 #include "core/geometry/pose.h"
+#include "core/geometry/state_matrix.h"
 #include "core/noise/noise_model.h"
 #include "core/search/alignment/log_similarity.h"
 #include "core/search/alignment/walk_kernel.h"

@@ -5,6 +5,8 @@
 #include <limits>
 
 #include "core/geometry/heading.h"
+#include "core/geometry/quadratic_form.h"
+#include "core/geometry/state_matrix.h"
 #include "core/search/alignment/log_similarity.h"
 
 // Highway includes this file once per instruction set.

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstddef>
 
+#include "core/noise/similarity_model.h"
 #include "core/search/alignment/similarity_kernel.h"
 #include "core/search/alignment/trellis_kernel.h"
 

@@ -16,18 +16,15 @@
 #define REVISIT_CORE_SEARCH_ALIGNMENT_VITERBI_H_
 
 #include <cstdint>
-#include <functional>
 #include <optional>
 #include <vector>
 
 #include "core/drive/pose_graph.h"
+#include "core/noise/similarity_model.h"
 #include "core/search/alignment/log_similarity.h"
+#include "core/search/should_stop.h"
 
 namespace revisit::core {
-
-// Called now and then during long work, which is given up once this returns
-// true.
-using ShouldStop = std::function<bool()>;
 
 // The solved trellis of one query.
 class Alignment {

@@ -9,10 +9,10 @@
 #include <utility>
 #include <vector>
 
-#include "core/drive/pose_graph.h"
-#include "core/search/alignment/log_similarity.h"
+#include "core/drive/node_index.h"
+#include "core/noise/comparison.h"
 #include "core/search/belief/scale_estimate.h"
-#include "core/search/candidates/gate.h"
+#include "core/search/candidates/gate_result.h"
 
 namespace revisit::core {
 

@@ -4,9 +4,12 @@
 #include <optional>
 #include <utility>
 
+#include "core/drive/node_range.h"
+#include "core/noise/similarity_model.h"
 #include "core/search/candidates/gate.h"
 #include "core/search/candidates/ranking.h"
 #include "core/search/candidates/verdict.h"
+#include "core/settings.h"
 
 namespace revisit::core {
 namespace {

@@ -4,7 +4,9 @@
 #include <optional>
 
 #include "core/drive/node_noise.h"
-#include "core/search/candidates/chi_squared.h"
+#include "core/geometry/quadratic_form.h"
+#include "core/geometry/state_matrix.h"
+#include "core/noise/chi_squared.h"
 
 namespace revisit::core {
 namespace {

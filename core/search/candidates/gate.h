@@ -4,26 +4,13 @@
 
 #include "core/drive/pose_graph.h"
 #include "core/geometry/pose.h"
+#include "core/noise/similarity_model.h"
 #include "core/search/alignment/history.h"
 #include "core/search/alignment/log_similarity.h"
 #include "core/search/alignment/query.h"
+#include "core/search/candidates/gate_result.h"
 
 namespace revisit::core {
-
-enum class GateVerdict { kAccepted, kRejected, kIllConditioned };
-
-struct GateResult {
-  // d^T (Gamma + R)^-1 d; 0 if ill-conditioned.
-  double squared_mahalanobis = 0.0;
-  // The dimensions of the state; for a path more, and not a whole number.
-  double degrees_of_freedom = 0.0;
-  // Chi-square quantile of the degrees of freedom at the gate probability.
-  double threshold = 0.0;
-  // Probability that two estimates at one place have at least this squared
-  // distance; 0 if ill-conditioned.
-  double p_value = 0.0;
-  GateVerdict verdict = GateVerdict::kIllConditioned;
-};
 
 class Gate {
  public:
@@ -46,14 +33,6 @@ class Gate {
   int degrees_of_freedom_;
   double probability_;
   double threshold_;
-};
-
-// Query minus matched, the covariance of that difference (Gamma, inflated,
-// without the tolerance), and the gate's decision, with the tolerance.
-struct GatedDifference {
-  Pose difference;
-  Covariance covariance;
-  GateResult gate;
 };
 
 // `matched` is a node of the history's graph.

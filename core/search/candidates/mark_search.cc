@@ -7,6 +7,7 @@
 #include <optional>
 #include <vector>
 
+#include "core/search/alignment/log_similarity.h"
 #include "core/search/alignment/relative.h"
 #include "core/search/belief/drive_belief.h"
 #include "core/search/belief/log_odds.h"

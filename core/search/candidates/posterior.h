@@ -7,16 +7,13 @@
 #include <cstddef>
 #include <vector>
 
+#include "core/drive/node_range.h"
 #include "core/drive/pose_graph.h"
 #include "core/noise/noise_model.h"
 #include "core/search/alignment/log_similarity.h"
 #include "core/search/alignment/scored_ends.h"
 
 namespace revisit::core {
-
-// Nodes this close to each other along the path are one place: a verifier that
-// is shown one finds the other.
-inline constexpr double kPlaceRadiusMeters = 10.0;
 
 // Nodes this close to a place along the path are on its stretch of road, where
 // errors are carried on. How probable the stretch is says whether the vehicle

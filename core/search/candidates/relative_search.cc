@@ -7,12 +7,15 @@
 #include <utility>
 #include <vector>
 
+#include "core/drive/pose_graph.h"
+#include "core/noise/similarity_model.h"
 #include "core/search/alignment/relative.h"
 #include "core/search/candidates/gate.h"
 #include "core/search/candidates/posterior.h"
 #include "core/search/candidates/ranking.h"
 #include "core/search/candidates/rivals.h"
 #include "core/search/candidates/verdict.h"
+#include "core/settings.h"
 
 namespace revisit::core {
 namespace {

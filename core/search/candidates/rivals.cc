@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "core/drive/node_range.h"
 #include "core/search/candidates/posterior.h"
 #include "core/search/candidates/same_place.h"
 

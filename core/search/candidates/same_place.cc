@@ -2,6 +2,9 @@
 
 #include <cmath>
 
+#include "core/drive/node_range.h"
+#include "core/noise/similarity_model.h"
+#include "core/search/alignment/log_similarity.h"
 #include "core/search/candidates/posterior.h"
 
 namespace revisit::core {

@@ -8,15 +8,6 @@ NodeIndex SearchTask::history_size() const {
   return size;
 }
 
-SimilarityModel ClaimedModel(StateSpace space, const SearchOptions& options) {
-  SimilarityModel model;
-  model.state_space = space;
-  model.correlation = CorrelationOf(options);
-  model.form = options.likelihood_form;
-  model.tolerance = options.place_tolerance;
-  return model;
-}
-
 std::vector<Direction> Directions(SearchDirection direction) {
   switch (direction) {
     case SearchDirection::kSame:

@@ -6,14 +6,19 @@
 #include <vector>
 
 #include "absl/status/status.h"
+#include "core/drive/block_bounds.h"
+#include "core/drive/confirmed_loop.h"
+#include "core/drive/motion_history.h"
+#include "core/drive/node_range.h"
 #include "core/drive/pose_graph.h"
-#include "core/search/alignment/confirmed_loop.h"
+#include "core/noise/similarity_model.h"
 #include "core/search/alignment/history.h"
 #include "core/search/alignment/log_similarity.h"
 #include "core/search/alignment/query.h"
 #include "core/search/alignment/relative.h"
 #include "core/search/alignment/viterbi.h"
 #include "core/search/belief/drive_belief.h"
+#include "core/search/should_stop.h"
 #include "core/settings.h"
 
 namespace revisit::core {
@@ -44,10 +49,6 @@ struct SearchTask {
   // the same options, or null.
   std::vector<AlignmentParts>* parts = nullptr;
 };
-
-// The model that the options ask for, with the claimed covariances: not
-// inflated.
-SimilarityModel ClaimedModel(StateSpace space, const SearchOptions& options);
 
 // The directions that a search looks in: the same direction first.
 std::vector<Direction> Directions(SearchDirection direction);

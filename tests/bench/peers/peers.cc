@@ -17,10 +17,16 @@
 #include "client/trajectory/dead_reckoning.h"
 #include "core/drive/drive.h"
 #include "core/drive/node_noise.h"
+#include "core/drive/pose_graph.h"
 #include "core/geometry/heading.h"
+#include "core/geometry/pose.h"
+#include "core/geometry/quadratic_form.h"
+#include "core/geometry/state_matrix.h"
+#include "core/noise/similarity_model.h"
 #include "core/search/alignment/log_similarity.h"
 #include "core/search/candidates/gate.h"
 #include "core/search/search.h"
+#include "core/settings.h"
 #include "tests/bench/peers/mrpt_association.h"
 
 namespace revisit::bench {

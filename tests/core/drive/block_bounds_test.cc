@@ -11,6 +11,8 @@
 #include <vector>
 
 #include "core/drive/node_noise.h"
+#include "core/drive/pose_graph.h"
+#include "core/geometry/state_matrix.h"
 #include "core/noise/dead_reckoning.h"
 #include "tests/core/graphs.h"
 #include "tests/random.h"

@@ -7,7 +7,11 @@
 #include <cmath>
 #include <vector>
 
+#include "core/drive/findings.h"
+#include "core/drive/pose_graph.h"
 #include "core/geometry/heading.h"
+#include "core/geometry/pose.h"
+#include "core/geometry/state_matrix.h"
 #include "tests/core/graphs.h"
 #include "tests/random.h"
 

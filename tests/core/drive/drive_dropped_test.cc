@@ -10,8 +10,12 @@
 #include <vector>
 
 #include "core/drive/drive.h"
+#include "core/drive/dropped_stretch.h"
 #include "core/drive/node_noise.h"
+#include "core/drive/pose_graph.h"
+#include "core/geometry/pose.h"
 #include "core/search/search.h"
+#include "core/settings.h"
 #include "tests/core/drive/drives.h"
 #include "tests/random.h"
 

@@ -8,8 +8,13 @@
 #include <memory>
 #include <vector>
 
+#include "core/drive/agreement.h"
+#include "core/drive/confirmed_loop.h"
 #include "core/drive/drive.h"
+#include "core/drive/pose_graph.h"
+#include "core/geometry/pose.h"
 #include "core/search/search.h"
+#include "core/settings.h"
 #include "tests/core/drive/drives.h"
 #include "tests/oracle/dead_reckoning.h"
 #include "tests/random.h"

@@ -11,8 +11,12 @@
 #include <utility>
 #include <vector>
 
+#include "core/drive/confirmed_loop.h"
 #include "core/drive/drive.h"
+#include "core/drive/pose_graph.h"
+#include "core/geometry/pose.h"
 #include "core/search/search.h"
+#include "core/settings.h"
 #include "tests/core/graphs.h"
 #include "tests/random.h"
 

@@ -6,8 +6,11 @@
 #include <cmath>
 #include <vector>
 
+#include "core/drive/pose_graph.h"
 #include "core/geometry/heading.h"
+#include "core/geometry/pose.h"
 #include "core/search/search.h"
+#include "core/settings.h"
 #include "tests/oracle/dead_reckoning.h"
 #include "tests/random.h"
 

@@ -5,7 +5,9 @@
 #include <string>
 #include <vector>
 
+#include "core/base/byte_stream.h"
 #include "core/drive/distance_resampler.h"
+#include "core/geometry/pose.h"
 
 namespace revisit::core {
 namespace {

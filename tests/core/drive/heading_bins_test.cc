@@ -6,6 +6,7 @@
 #include <optional>
 #include <vector>
 
+#include "core/drive/pose_graph.h"
 #include "core/geometry/heading.h"
 
 namespace revisit::core {

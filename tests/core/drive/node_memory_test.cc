@@ -13,6 +13,10 @@
 #include <vector>
 
 #include "core/drive/drive.h"
+#include "core/drive/pose_graph.h"
+#include "core/geometry/pose.h"
+#include "core/geometry/state_matrix.h"
+#include "core/settings.h"
 #include "tests/core/graphs.h"
 #include "tests/random.h"
 

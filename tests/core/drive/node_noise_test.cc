@@ -6,7 +6,10 @@
 #include <cmath>
 #include <vector>
 
+#include "core/drive/pose_graph.h"
 #include "core/geometry/heading.h"
+#include "core/geometry/pose.h"
+#include "core/geometry/state_matrix.h"
 #include "core/noise/dead_reckoning.h"
 #include "tests/core/graphs.h"
 #include "tests/oracle/dead_reckoning.h"

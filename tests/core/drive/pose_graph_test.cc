@@ -7,6 +7,7 @@
 #include <random>
 #include <vector>
 
+#include "core/geometry/pose.h"
 #include "tests/random.h"
 
 namespace revisit::core {

@@ -9,6 +9,8 @@
 #include <string>
 #include <vector>
 
+#include "core/drive/node_range.h"
+#include "core/drive/pose_graph.h"
 #include "core/geometry/heading.h"
 #include "tests/oracle/plain_retention.h"
 #include "tests/random.h"

@@ -9,6 +9,7 @@
 #include <random>
 #include <vector>
 
+#include "core/drive/pose_graph.h"
 #include "core/geometry/heading.h"
 #include "tests/core/graphs.h"
 #include "tests/oracle/motion_by_loops.h"

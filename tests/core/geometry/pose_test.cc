@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "core/geometry/heading.h"
+#include "core/geometry/state_matrix.h"
 #include "tests/core/graphs.h"
 #include "tests/random.h"
 

@@ -5,6 +5,7 @@
 #include <random>
 #include <set>
 
+#include "core/geometry/state_matrix.h"
 #include "core/noise/covariances.h"
 #include "tests/core/graphs.h"
 #include "tests/random.h"

@@ -12,7 +12,10 @@
 
 #include "absl/status/status.h"
 #include "core/drive/drive.h"
+#include "core/drive/pose_graph.h"
+#include "core/geometry/pose.h"
 #include "core/search/search.h"
+#include "core/settings.h"
 #include "tests/core/drive/drives.h"
 #include "tests/oracle/dead_reckoning.h"
 #include "tests/random.h"

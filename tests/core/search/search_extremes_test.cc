@@ -9,7 +9,9 @@
 
 #include "core/drive/drive.h"
 #include "core/geometry/heading.h"
+#include "core/geometry/pose.h"
 #include "core/search/search.h"
+#include "core/settings.h"
 #include "tests/random.h"
 
 namespace revisit::core {

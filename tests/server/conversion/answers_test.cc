@@ -7,8 +7,12 @@
 #include <utility>
 #include <vector>
 
+#include "core/drive/findings.h"
+#include "core/drive/pose_graph.h"
 #include "core/geometry/heading.h"
+#include "core/geometry/pose.h"
 #include "core/search/search.h"
+#include "core/settings.h"
 #include "gmock/gmock.h"
 #include "google/protobuf/util/message_differencer.h"
 #include "gtest/gtest.h"

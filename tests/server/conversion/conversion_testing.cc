@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "core/geometry/pose.h"
 #include "google/rpc/error_details.pb.h"
 #include "tests/server/error_matchers.h"
 

@@ -9,6 +9,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "core/geometry/pose.h"
 #include "google/protobuf/text_format.h"
 #include "gtest/gtest.h"
 #include "server/conversion/poses.h"

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "core/geometry/heading.h"
+#include "core/geometry/pose.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 

@@ -4,6 +4,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/settings.h"
 #include "gmock/gmock.h"
 #include "google/protobuf/util/message_differencer.h"
 #include "gtest/gtest.h"

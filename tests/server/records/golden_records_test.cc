@@ -14,6 +14,8 @@
 #include <string>
 #include <vector>
 
+#include "core/drive/dropped_stretch.h"
+#include "core/settings.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "server/conversion/pose_pairs.h"

@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include "core/drive/confirmed_loop.h"
 #include "gmock/gmock.h"
 #include "google/protobuf/util/message_differencer.h"
 #include "gtest/gtest.h"

@@ -9,6 +9,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/drive/dropped_stretch.h"
 #include "core/geometry/heading.h"
 #include "gmock/gmock.h"
 #include "google/protobuf/util/message_differencer.h"

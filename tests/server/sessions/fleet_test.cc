@@ -11,6 +11,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/settings.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "server/base/status.h"

@@ -16,6 +16,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/drive/findings.h"
 #include "server/sessions/executor.h"
 #include "server/sessions/fleet.h"
 #include "tests/server/error_matchers.h"

@@ -17,6 +17,8 @@
 #include <utility>
 #include <vector>
 
+#include "core/drive/pose_graph.h"
+#include "core/settings.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "server/sessions/fair_executor.h"

@@ -2,6 +2,9 @@
 
 #include <sstream>
 
+#include "core/drive/dropped_stretch.h"
+#include "core/drive/pose_graph.h"
+#include "core/settings.h"
 #include "tests/server/plain_codec.h"
 
 namespace revisit::server {

@@ -12,6 +12,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "core/settings.h"
 #include "server/sessions/fleet.h"
 #include "server/sessions/vehicle_session.h"
 #include "tests/server/waiting.h"

@@ -11,6 +11,8 @@
 #include <utility>
 #include <vector>
 
+#include "core/drive/findings.h"
+#include "core/settings.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "server/base/status.h"

@@ -6,7 +6,10 @@
 #include <vector>
 
 #include "core/drive/node_noise.h"
+#include "core/drive/pose_graph.h"
 #include "core/geometry/heading.h"
+#include "core/geometry/state_matrix.h"
+#include "core/noise/similarity_model.h"
 #include "tests/core/graphs.h"
 #include "tests/oracle/error_chain.h"
 #include "tests/random.h"

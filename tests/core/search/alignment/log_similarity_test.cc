@@ -6,8 +6,13 @@
 #include <vector>
 
 #include "core/drive/node_noise.h"
+#include "core/drive/pose_graph.h"
 #include "core/geometry/heading.h"
+#include "core/geometry/pose.h"
+#include "core/geometry/quadratic_form.h"
+#include "core/geometry/state_matrix.h"
 #include "core/noise/dead_reckoning.h"
+#include "core/noise/similarity_model.h"
 #include "tests/core/graphs.h"
 #include "tests/oracle/dead_reckoning.h"
 #include "tests/oracle/long_double_density.h"

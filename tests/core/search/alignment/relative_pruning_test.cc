@@ -8,6 +8,8 @@
 
 #include "core/drive/block_bounds.h"
 #include "core/drive/motion_history.h"
+#include "core/drive/node_range.h"
+#include "core/drive/pose_graph.h"
 #include "core/search/alignment/relative.h"
 #include "tests/core/graphs.h"
 #include "tests/core/search/alignment/towns.h"

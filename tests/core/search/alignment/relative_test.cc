@@ -8,7 +8,9 @@
 #include <ostream>
 #include <vector>
 
+#include "core/drive/pose_graph.h"
 #include "core/geometry/heading.h"
+#include "core/search/alignment/log_similarity.h"
 #include "tests/core/graphs.h"
 #include "tests/core/search/alignment/towns.h"
 #include "tests/oracle/survivor_lists.h"

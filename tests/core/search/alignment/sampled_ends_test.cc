@@ -13,11 +13,14 @@
 #include "core/drive/block_bounds.h"
 #include "core/drive/drive.h"
 #include "core/drive/motion_history.h"
+#include "core/drive/pose_graph.h"
+#include "core/geometry/pose.h"
 #include "core/search/alignment/heading_match.h"
 #include "core/search/alignment/recent_path.h"
 #include "core/search/alignment/relative.h"
 #include "core/search/belief/mark.h"
 #include "core/search/search.h"
+#include "core/settings.h"
 #include "tests/bench/roads.h"
 
 namespace revisit::core {

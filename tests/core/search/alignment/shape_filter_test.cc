@@ -7,7 +7,10 @@
 #include <sstream>
 #include <vector>
 
+#include "core/drive/motion_history.h"
+#include "core/drive/pose_graph.h"
 #include "core/geometry/heading.h"
+#include "core/geometry/state_matrix.h"
 #include "tests/core/graphs.h"
 #include "tests/oracle/dense_window.h"
 #include "tests/oracle/motion_by_loops.h"

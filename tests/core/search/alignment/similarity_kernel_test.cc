@@ -7,8 +7,13 @@
 #include <cmath>
 #include <vector>
 
+#include "core/drive/confirmed_loop.h"
 #include "core/drive/node_noise.h"
+#include "core/drive/pose_graph.h"
 #include "core/geometry/heading.h"
+#include "core/geometry/quadratic_form.h"
+#include "core/geometry/state_matrix.h"
+#include "core/noise/similarity_model.h"
 #include "core/search/alignment/known_drift.h"
 #include "core/search/alignment/log_similarity.h"
 #include "tests/core/graphs.h"

@@ -11,9 +11,11 @@
 #include <string>
 #include <vector>
 
+#include "core/drive/confirmed_loop.h"
 #include "core/drive/pose_graph.h"
 #include "core/geometry/heading.h"
 #include "core/geometry/pose.h"
+#include "core/geometry/state_matrix.h"
 #include "core/search/alignment/relative.h"
 #include "tests/core/graphs.h"
 #include "tests/random.h"

@@ -7,6 +7,9 @@
 #include <cmath>
 #include <sstream>
 
+#include "core/drive/pose_graph.h"
+#include "core/noise/similarity_model.h"
+#include "core/search/alignment/log_similarity.h"
 #include "tests/core/graphs.h"
 #include "tests/oracle/path_enumeration.h"
 #include "tests/oracle/plain_viterbi.h"

@@ -7,7 +7,9 @@
 #include <limits>
 #include <vector>
 
+#include "core/drive/pose_graph.h"
 #include "core/geometry/heading.h"
+#include "core/geometry/state_matrix.h"
 #include "core/search/alignment/shape_filter.h"
 #include "tests/core/graphs.h"
 #include "tests/core/vector_targets.h"

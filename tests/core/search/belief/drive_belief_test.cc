@@ -9,6 +9,10 @@
 #include <set>
 #include <vector>
 
+#include "core/drive/dropped_stretch.h"
+#include "core/drive/pose_graph.h"
+#include "core/search/belief/mark.h"
+
 namespace revisit::core {
 namespace {
 

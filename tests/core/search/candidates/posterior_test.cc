@@ -8,6 +8,8 @@
 #include <utility>
 #include <vector>
 
+#include "core/drive/pose_graph.h"
+#include "core/search/alignment/log_similarity.h"
 #include "tests/core/graphs.h"
 #include "tests/random.h"
 

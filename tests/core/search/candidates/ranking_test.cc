@@ -6,6 +6,10 @@
 #include <cmath>
 #include <vector>
 
+#include "core/drive/node_range.h"
+#include "core/drive/pose_graph.h"
+#include "core/noise/similarity_model.h"
+#include "core/search/alignment/log_similarity.h"
 #include "core/search/alignment/viterbi.h"
 #include "tests/core/graphs.h"
 #include "tests/random.h"

@@ -7,6 +7,8 @@
 #include <vector>
 
 #include "core/drive/drive.h"
+#include "core/drive/pose_graph.h"
+#include "core/settings.h"
 #include "tests/core/drive/drives.h"
 
 namespace revisit::core {

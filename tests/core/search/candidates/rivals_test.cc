@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include "core/drive/pose_graph.h"
+
 namespace revisit::core {
 namespace {
 

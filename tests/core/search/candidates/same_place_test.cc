@@ -4,6 +4,7 @@
 
 #include <cmath>
 
+#include "core/drive/pose_graph.h"
 #include "core/geometry/heading.h"
 #include "tests/oracle/wide_state.h"
 

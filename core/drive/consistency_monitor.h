@@ -18,30 +18,19 @@
 // P concerns a weighted sum of chi-squares and uses Satterthwaite's
 // approximation ("An approximate distribution of estimates of variance
 // components", Biometrics Bulletin 2 (1946)).
-#ifndef REVISIT_CORE_SEARCH_CANDIDATES_CONSISTENCY_H_
-#define REVISIT_CORE_SEARCH_CANDIDATES_CONSISTENCY_H_
+#ifndef REVISIT_CORE_DRIVE_CONSISTENCY_MONITOR_H_
+#define REVISIT_CORE_DRIVE_CONSISTENCY_MONITOR_H_
 
 #include <cstdint>
 #include <optional>
 #include <vector>
 
+#include "core/drive/confirmed_loop.h"
+#include "core/drive/consistency.h"
 #include "core/drive/pose_graph.h"
-#include "core/search/alignment/confirmed_loop.h"
-#include "core/search/alignment/log_similarity.h"
+#include "core/noise/similarity_model.h"
 
 namespace revisit::core {
-
-struct Consistency {
-  // Loop closures whose difference has a well-conditioned covariance.
-  std::int64_t confirmed = 0;
-  std::int64_t rejected = 0;
-  // Mean of d^T (Gamma + R)^-1 d over the confirmed ones, as claimed; of the
-  // innovation where there was a measurement.
-  std::optional<double> mean_normalized_innovation_squared;
-  int degrees_of_freedom = 3;
-  // The estimate of f; before the first confirmed pair, that of the prior.
-  double inflation = 1.0;
-};
 
 // Standard deviation of the prior of ln f: ln 2. Estimators in the field are
 // more often overconfident than not, and a search that begins with the claimed
@@ -85,4 +74,4 @@ class ConsistencyMonitor {
 
 }  // namespace revisit::core
 
-#endif  // REVISIT_CORE_SEARCH_CANDIDATES_CONSISTENCY_H_
+#endif  // REVISIT_CORE_DRIVE_CONSISTENCY_MONITOR_H_

@@ -1,6 +1,11 @@
-#include "core/search/candidates/agreement.h"
+#include "core/drive/agreement.h"
 
-#include "core/search/candidates/chi_squared.h"
+#include "core/drive/confirmed_loop.h"
+#include "core/drive/pose_graph.h"
+#include "core/geometry/quadratic_form.h"
+#include "core/geometry/state_matrix.h"
+#include "core/noise/chi_squared.h"
+#include "core/noise/similarity_model.h"
 
 namespace revisit::core {
 namespace {

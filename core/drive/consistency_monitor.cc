@@ -1,4 +1,4 @@
-#include "core/search/candidates/consistency.h"
+#include "core/drive/consistency_monitor.h"
 
 #include <Eigen/Cholesky>
 #include <algorithm>
@@ -9,8 +9,9 @@
 
 #include "core/drive/node_noise.h"
 #include "core/geometry/heading.h"
-#include "core/search/candidates/chi_squared.h"
-#include "core/search/candidates/gate.h"
+#include "core/geometry/quadratic_form.h"
+#include "core/geometry/state_matrix.h"
+#include "core/noise/chi_squared.h"
 
 namespace revisit::core {
 namespace {
@@ -86,8 +87,9 @@ struct Shown {
 
 ConsistencyMonitor::ConsistencyMonitor(const ConsistencyOptions& options)
     : options_(options),
-      threshold_(Gate(options.similarity.state_space, options.gate_probability)
-                     .threshold()) {
+      threshold_(
+          ChiSquaredQuantile(DegreesOfFreedom(options.similarity.state_space),
+                             options.gate_probability)) {
   consistency_.degrees_of_freedom =
       DegreesOfFreedom(options.similarity.state_space);
   consistency_.inflation = MeanInflation(LogPriorDensity(options.max_inflation),

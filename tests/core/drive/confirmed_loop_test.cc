@@ -1,11 +1,14 @@
-#include "core/search/alignment/confirmed_loop.h"
+#include "core/drive/confirmed_loop.h"
 
 #include <gtest/gtest.h>
 
 #include <cmath>
 
-#include "core/search/candidates/agreement.h"
-#include "core/search/candidates/chi_squared.h"
+#include "core/drive/agreement.h"
+#include "core/drive/pose_graph.h"
+#include "core/geometry/state_matrix.h"
+#include "core/noise/chi_squared.h"
+#include "core/noise/similarity_model.h"
 #include "tests/core/graphs.h"
 #include "tests/oracle/wide_state.h"
 #include "tests/random.h"

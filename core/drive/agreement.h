@@ -1,15 +1,15 @@
 // How well the measurement of a loop closure agrees with the graph: the
 // chi-square test of its innovation.
-#ifndef REVISIT_CORE_SEARCH_CANDIDATES_AGREEMENT_H_
-#define REVISIT_CORE_SEARCH_CANDIDATES_AGREEMENT_H_
+#ifndef REVISIT_CORE_DRIVE_AGREEMENT_H_
+#define REVISIT_CORE_DRIVE_AGREEMENT_H_
 
 #include <optional>
 
-#include "core/drive/pose_graph.h"
-#include "core/search/alignment/confirmed_loop.h"
-#include "core/search/alignment/log_similarity.h"
-
 namespace revisit::core {
+
+class PoseGraph;
+struct ConfirmedLoop;
+struct SimilarityModel;
 
 struct Agreement {
   // y^T (Gamma + M)^-1 y, with Gamma inflated.
@@ -28,4 +28,4 @@ std::optional<Agreement> AgreementOf(const PoseGraph& graph,
 
 }  // namespace revisit::core
 
-#endif  // REVISIT_CORE_SEARCH_CANDIDATES_AGREEMENT_H_
+#endif  // REVISIT_CORE_DRIVE_AGREEMENT_H_

@@ -1,4 +1,4 @@
-#include "core/search/candidates/model_check.h"
+#include "core/drive/model_check.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -9,6 +9,9 @@
 #include <vector>
 
 #include "core/drive/drive.h"
+#include "core/drive/findings.h"
+#include "core/geometry/pose.h"
+#include "core/settings.h"
 #include "tests/core/drive/drives.h"
 #include "tests/oracle/dead_reckoning.h"
 #include "tests/random.h"

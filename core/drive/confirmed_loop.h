@@ -17,38 +17,19 @@
 // L S_mm L^T takes the place of the matched pose wherever errors are those of
 // dead reckoning; lever arms add up, which makes its cross-covariances right
 // too.
-#ifndef REVISIT_CORE_SEARCH_ALIGNMENT_CONFIRMED_LOOP_H_
-#define REVISIT_CORE_SEARCH_ALIGNMENT_CONFIRMED_LOOP_H_
+#ifndef REVISIT_CORE_DRIVE_CONFIRMED_LOOP_H_
+#define REVISIT_CORE_DRIVE_CONFIRMED_LOOP_H_
 
 #include <memory>
 
+#include "core/drive/measured_loop.h"
 #include "core/drive/pose_graph.h"
 #include "core/geometry/pose.h"
+#include "core/geometry/state_matrix.h"
+#include "core/noise/comparison.h"
 #include "core/noise/noise_model.h"
-#include "core/search/alignment/log_similarity.h"
 
 namespace revisit::core {
-
-// The pose of the query in the levelled body axes of the match (x forward, y
-// left, z up), with the covariance of its error in these axes.
-struct LoopMeasurement {
-  Pose relative;
-  Covariance covariance;
-};
-
-// A pose of the stream as it is estimated, in the local frame.
-struct PoseEstimate {
-  Pose pose;
-  Covariance covariance;
-};
-
-// A measurement with the poses between which it was made: nodes lie beside
-// them, by more than a good measurement is uncertain.
-struct MeasuredLoop {
-  LoopMeasurement measurement;
-  PoseEstimate query;
-  PoseEstimate matched;
-};
 
 struct ConfirmedLoop {
   // The last nodes at or before the two poses.
@@ -88,4 +69,4 @@ Innovation<D> InnovationOf(const PoseGraph& graph,
 
 }  // namespace revisit::core
 
-#endif  // REVISIT_CORE_SEARCH_ALIGNMENT_CONFIRMED_LOOP_H_
+#endif  // REVISIT_CORE_DRIVE_CONFIRMED_LOOP_H_

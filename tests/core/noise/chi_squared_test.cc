@@ -1,4 +1,4 @@
-#include "core/search/candidates/chi_squared.h"
+#include "core/noise/chi_squared.h"
 
 #include <gtest/gtest.h>
 

@@ -1,9 +1,9 @@
-#include "core/search/candidates/model_check.h"
+#include "core/drive/model_check.h"
 
 #include <algorithm>
 #include <cmath>
 
-#include "core/search/candidates/chi_squared.h"
+#include "core/noise/chi_squared.h"
 
 namespace revisit::core {
 namespace {

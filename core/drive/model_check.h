@@ -31,42 +31,17 @@
 // Both are weighted so that the last few kilometres count: a vehicle whose
 // estimator was mended is found to be. O(1) per pose and in memory, and a
 // function of the poses alone.
-#ifndef REVISIT_CORE_SEARCH_CANDIDATES_MODEL_CHECK_H_
-#define REVISIT_CORE_SEARCH_CANDIDATES_MODEL_CHECK_H_
+#ifndef REVISIT_CORE_DRIVE_MODEL_CHECK_H_
+#define REVISIT_CORE_DRIVE_MODEL_CHECK_H_
 
 #include <optional>
 
 #include "core/base/byte_stream.h"
-#include "core/drive/stamps.h"
+#include "core/drive/findings.h"
 #include "core/geometry/pose.h"
 #include "core/noise/noise_model.h"
 
 namespace revisit::core {
-
-enum class FindingCode {
-  // Claims are to grow (NoiseModel), but few stretches do.
-  kCovariancesDoNotGrow,
-  // Claims are not to grow, but nearly all stretches do.
-  kCovariancesGrow,
-  // Errors are to be white, but most triples are smooth, and stretches do not
-  // grow.
-  kErrorsCorrelated,
-  // The stamps go forward by more than the greatest age that is kept. Drive
-  // finds it, whatever the model.
-  kStampsLeap,
-};
-
-struct Finding {
-  FindingCode code = FindingCode::kCovariancesDoNotGrow;
-  // The share of growing stretches.
-  double growing = 0.0;
-  // How many times less than independent errors of the claimed covariances the
-  // poses stray: the ratio of standard deviations that makes the share of
-  // smooth triples what it is. At least 1; nothing where too few were seen.
-  std::optional<double> smoother;
-  // For kStampsLeap only.
-  std::optional<StampLeap> leap;
-};
 
 class ModelCheck {
  public:
@@ -176,4 +151,4 @@ class ModelCheck {
 
 }  // namespace revisit::core
 
-#endif  // REVISIT_CORE_SEARCH_CANDIDATES_MODEL_CHECK_H_
+#endif  // REVISIT_CORE_DRIVE_MODEL_CHECK_H_

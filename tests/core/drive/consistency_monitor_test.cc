@@ -1,4 +1,4 @@
-#include "core/search/candidates/consistency.h"
+#include "core/drive/consistency_monitor.h"
 
 #include <gtest/gtest.h>
 
@@ -8,7 +8,11 @@
 #include <limits>
 #include <vector>
 
+#include "core/drive/confirmed_loop.h"
+#include "core/drive/pose_graph.h"
 #include "core/geometry/heading.h"
+#include "core/geometry/state_matrix.h"
+#include "core/noise/similarity_model.h"
 #include "core/search/candidates/gate.h"
 #include "tests/core/graphs.h"
 #include "tests/oracle/inflation_by_quadrature.h"

@@ -1,10 +1,11 @@
-#include "core/search/alignment/confirmed_loop.h"
+#include "core/drive/confirmed_loop.h"
 
 #include <cassert>
 #include <cmath>
 
 #include "core/drive/node_noise.h"
 #include "core/geometry/heading.h"
+#include "core/geometry/state_matrix.h"
 #include "core/noise/covariances.h"
 #include "core/noise/dead_reckoning.h"
 

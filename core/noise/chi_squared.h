@@ -1,7 +1,7 @@
 // The chi-square distribution. Extreme arguments result in 0, 1, infinity or
 // NaN, never in an exception.
-#ifndef REVISIT_CORE_SEARCH_CANDIDATES_CHI_SQUARED_H_
-#define REVISIT_CORE_SEARCH_CANDIDATES_CHI_SQUARED_H_
+#ifndef REVISIT_CORE_NOISE_CHI_SQUARED_H_
+#define REVISIT_CORE_NOISE_CHI_SQUARED_H_
 
 namespace revisit::core {
 
@@ -13,4 +13,4 @@ double ChiSquaredAbove(double degrees_of_freedom, double x);
 
 }  // namespace revisit::core
 
-#endif  // REVISIT_CORE_SEARCH_CANDIDATES_CHI_SQUARED_H_
+#endif  // REVISIT_CORE_NOISE_CHI_SQUARED_H_

@@ -1,0 +1,29 @@
+#ifndef REVISIT_CORE_DRIVE_RESAMPLER_OPTIONS_H_
+#define REVISIT_CORE_DRIVE_RESAMPLER_OPTIONS_H_
+
+#include "core/geometry/state_space.h"
+
+namespace revisit::core {
+
+// How poses become nodes (distance_resampler.h).
+struct ResamplerOptions {
+  StateSpace state_space = StateSpace::kPlanar;
+  double spacing_meters = 2.0;
+  double max_step_meters = 100.0;
+  double standstill_fraction = 0.05;
+  // Whether nodes get error transitions; all samples but the first must have
+  // them.
+  bool carry_transitions = false;
+
+  // A step from the last counted pose adds distance unless it is one of these.
+  bool IsStandstill(double step_meters) const {
+    return step_meters < standstill_fraction * spacing_meters;
+  }
+  bool IsJump(double step_meters) const {
+    return step_meters > max_step_meters;
+  }
+};
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_DRIVE_RESAMPLER_OPTIONS_H_
