@@ -188,6 +188,39 @@ int ComplainOfSettings(const absl::Status& problem) {
   return revisit::server::kExitUsage;
 }
 
+// Says where calls are taken, for a script that waits for it.
+void SayAddresses(const RevisitServer& server) {
+  std::string addresses;
+  if (const std::string admin = server.admin_address(); !admin.empty()) {
+    addresses = "admin listening on " + admin + "\n";
+  }
+  revisit::server::WriteWithin(
+      STDOUT_FILENO, addresses + "listening on " + server.address() + "\n",
+      kPatience);
+}
+
+// Returns the exit code.
+int RunServer(const revisit::server::ServerSettings& settings) {
+  BlockSignals();
+  Log log(settings.log_format, settings.log_level, STDERR_FILENO);
+  revisit::server::StartError error{};
+  std::unique_ptr<RevisitServer> server;
+  {
+    const StopWhileStarting stop;
+    server = RevisitServer::Start(
+        settings, &log, [] { kill(getpid(), FailureSignal()); }, &error);
+  }
+  if (server == nullptr) {
+    Complain(error.message);
+    return error.exit_code;
+  }
+  SayAddresses(*server);
+  ChangingLevel level(&log, settings.log_level);
+  Serve(server.get(), log, &level, settings.drain_notice_seconds);
+  server->Shutdown();
+  return server->exit_code();
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -205,30 +238,5 @@ int main(int argc, char** argv) {
   const absl::Status fits = revisit::server::EngineOf(parsed->settings.store)
                                 .CheckSettings(parsed->settings);
   if (!fits.ok()) return ComplainOfSettings(fits);
-  BlockSignals();
-  Log log(parsed->settings.log_format, parsed->settings.log_level,
-          STDERR_FILENO);
-  revisit::server::StartError error{};
-  std::unique_ptr<RevisitServer> server;
-  {
-    const StopWhileStarting stop;
-    server = RevisitServer::Start(
-        parsed->settings, &log, [] { kill(getpid(), FailureSignal()); },
-        &error);
-  }
-  if (server == nullptr) {
-    Complain(error.message);
-    return error.exit_code;
-  }
-  std::string addresses;
-  if (const std::string admin = server->admin_address(); !admin.empty()) {
-    addresses = "admin listening on " + admin + "\n";
-  }
-  revisit::server::WriteWithin(
-      STDOUT_FILENO, addresses + "listening on " + server->address() + "\n",
-      kPatience);
-  ChangingLevel level(&log, parsed->settings.log_level);
-  Serve(server.get(), log, &level, parsed->settings.drain_notice_seconds);
-  server->Shutdown();
-  return server->exit_code();
+  return RunServer(parsed->settings);
 }

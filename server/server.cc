@@ -42,6 +42,7 @@ using SteadyClock = std::chrono::steady_clock;
 // how a call ended takes that answer with it.
 constexpr std::chrono::milliseconds kGoodbyeTime{100};
 constexpr std::chrono::milliseconds kGoodbyeTimeAfterCalls{2000};
+
 // The code for an address that cannot be listened on.
 ExitCode CodeOfListening(const absl::Status& status) {
   return absl::IsInvalidArgument(status) ? kExitUsage : kExitCannotListen;
@@ -69,32 +70,32 @@ std::vector<std::string> ServedNames(const ServerSettings& settings) {
   return names;
 }
 
-// All that works on the store. The members stand in the order in which they
-// need each other, and are destroyed from the last to the first; a start fills
-// some of the last in before, see Start().
-struct Parts {
-  explicit Parts(const Log* log) : health(log) {}
-
-  ServiceCounters counts;
-  ExportedGraphs exported_graphs;
-  Drain drain;
-  std::unique_ptr<Vehicles> vehicles;
-  std::unique_ptr<ConnectionMeters> meters;
-  std::unique_ptr<PoseGraphService> service;
-  // Empty if reflection is not served.
-  std::vector<std::unique_ptr<grpc::Service>> reflection;
-  // The gatekeeper's thread may hold the last reference to a stream, and with
-  // it all that a call uses.
-  std::unique_ptr<Identities> identities;
-  std::unique_ptr<Listener> listener;
-  Health health;
-  // Null if there is none. Its thread uses the others.
-  std::unique_ptr<HttpServer> admin;
-};
-
 }  // namespace
 
 struct RevisitServer::State {
+  // All that works on the store. The members stand in the order in which they
+  // need each other, and are destroyed from the last to the first; a start
+  // fills some of the last in before, see Start().
+  struct Parts {
+    explicit Parts(const Log* log) : health(log) {}
+
+    ServiceCounters counts;
+    ExportedGraphs exported_graphs;
+    Drain drain;
+    std::unique_ptr<Vehicles> vehicles;
+    std::unique_ptr<ConnectionMeters> meters;
+    std::unique_ptr<PoseGraphService> service;
+    // Empty if reflection is not served.
+    std::vector<std::unique_ptr<grpc::Service>> reflection;
+    // The gatekeeper's thread may hold the last reference to a stream, and with
+    // it all that a call uses.
+    std::unique_ptr<Identities> identities;
+    std::unique_ptr<Listener> listener;
+    Health health;
+    // Null if there is none. Its thread uses the others.
+    std::unique_ptr<HttpServer> admin;
+  };
+
   // The steps of a start, in this order. Those that may fail return whether
   // they did not, and otherwise set `*error`.
   bool LoadIdentities(StartError* error);
@@ -109,8 +110,9 @@ struct RevisitServer::State {
   void EndCalls(SteadyClock::time_point deadline);
   CommitCounts CloseStore();
 
-  // REQUIRES: the server serves or drains.
-  void CollectMetrics(Metrics* metrics) const;
+  // REQUIRES: the server serves or drains. The parts are an argument, since
+  // they may be on their way out.
+  void CollectMetrics(const Parts& from, Metrics* metrics) const;
 
   ServerSettings settings;
   const Log* log = nullptr;
@@ -138,7 +140,7 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   state->log = log;
   state->library_log.emplace(log);
   state->on_failure = std::move(on_failure);
-  state->parts = std::make_unique<Parts>(log);
+  state->parts = std::make_unique<State::Parts>(log);
   if (!state->LoadIdentities(error) || !state->OpenAuditLog(error) ||
       !state->ServeAdmin(error) || !state->OpenStore(error)) {
     return nullptr;
@@ -170,9 +172,10 @@ bool RevisitServer::State::OpenAuditLog(StartError* error) {
 // the process is alive.
 bool RevisitServer::State::ServeAdmin(StartError* error) {
   if (settings.admin_listen.empty()) return true;
-  auto served =
-      ServeAdminPort(settings.admin_listen, &parts->health,
-                     [this](Metrics* metrics) { CollectMetrics(metrics); });
+  auto served = ServeAdminPort(settings.admin_listen, &parts->health,
+                               [this, from = parts.get()](Metrics* metrics) {
+                                 CollectMetrics(*from, metrics);
+                               });
   if (!served.ok()) {
     *error = {CodeOfListening(served.status()),
               "admin-listen: " + std::string(served.status().message())};
@@ -270,19 +273,20 @@ bool RevisitServer::State::Announce(StartError* error) {
 }
 
 // In the order of the page.
-void RevisitServer::State::CollectMetrics(Metrics* metrics) const {
+void RevisitServer::State::CollectMetrics(const Parts& from,
+                                          Metrics* metrics) const {
   CollectProcessMetrics(metrics);
-  parts->counts.CollectMetrics(metrics);
-  parts->vehicles->admission()->CollectMetrics(metrics);
-  parts->listener->CollectMetrics(metrics);
+  from.counts.CollectMetrics(metrics);
+  from.vehicles->admission()->CollectMetrics(metrics);
+  from.listener->CollectMetrics(metrics);
   CollectStorageMetrics(store.storage.get(), metrics);
   run_notes->CollectMetrics(metrics);
-  parts->vehicles->census()->CollectMetrics(metrics);
-  parts->vehicles->fleet()->CollectMetrics(metrics);
-  parts->identities->CollectMetrics(metrics);
+  from.vehicles->census()->CollectMetrics(metrics);
+  from.vehicles->fleet()->CollectMetrics(metrics);
+  from.identities->CollectMetrics(metrics);
   log->CollectMetrics("server", metrics);
   if (audit != nullptr) audit->CollectMetrics(metrics);
-  parts->health.CollectMetrics(metrics);
+  from.health.CollectMetrics(metrics);
 }
 
 ExitCode RevisitServer::exit_code() const {

@@ -176,13 +176,16 @@ void Log::Write(LogLevel level, const char* event,
 
 void Log::SetLevel(LogLevel level) { sink_->logger.set_level(ToSpdlog(level)); }
 
+std::int64_t Log::dropped() const {
+  return sink_->lines == nullptr ? 0 : sink_->lines->dropped();
+}
+
 void Log::CollectMetrics(const char* name, Metrics* metrics) const {
   metrics
       ->Counter("revisit_log_lines_dropped_total",
                 "Lines of a log that were lost, for it was not read or "
                 "written as fast as they came.")
-      .Add(sink_->lines == nullptr ? 0 : sink_->lines->dropped(),
-           {{"log", name}});
+      .Add(dropped(), {{"log", name}});
 }
 
 }  // namespace revisit::server

@@ -59,8 +59,10 @@ class Log {
   // The least severe level that is written from now on.
   void SetLevel(LogLevel level);
 
-  // How many lines found no room; none do for a stream. `name` says which of
-  // the process's logs this is.
+  // Number of lines that found no room; 0 for a stream.
+  std::int64_t dropped() const;
+
+  // `name`: which of the process's logs this is.
   void CollectMetrics(const char* name, Metrics* metrics) const;
 
  private:
