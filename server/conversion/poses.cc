@@ -1,7 +1,5 @@
 #include "server/conversion/poses.h"
 
-#include <vector>
-
 #include "absl/strings/str_cat.h"
 #include "server/fields/pose_decoder.h"
 #include "server/fields/pose_fields.h"
@@ -22,15 +20,12 @@ absl::StatusOr<DecodedBatch> DecodeBatch(const Poses& poses, int max_poses,
         absl::StrCat("got ", poses.size(), " poses; allowed is [1, ", max_poses,
                      "]"));
   }
-  std::vector<PoseFields> fields;
-  fields.reserve(static_cast<std::size_t>(poses.size()));
-  for (const v1::Pose& pose : poses) fields.push_back(PoseFieldsOf(pose));
   Violations violations;
   PoseDecoder decoder(config, PoseSource::kAppend, &violations);
   DecodedBatch batch;
-  batch.samples = DecodePoses(fields, path, &decoder, &violations);
+  batch.samples = DecodePoses(poses, path, &decoder, &violations);
   if (violations.count() > 0) return violations.ToStatus();
-  EncodeBatch(fields, &batch);
+  EncodeBatch(poses, &batch);
   batch.origin = decoder.origin();
   return batch;
 }

@@ -21,15 +21,6 @@ GeodeticOrigin ToOrigin(const PoseFields& pose) {
   return {pose.position[0], pose.position[1], pose.position[2]};
 }
 
-// Adds a violation unless a pose's sequence is the one after that of the pose
-// before it in the batch. `path` is the pose's.
-void CheckFollows(std::uint64_t before, std::uint64_t sequence,
-                  const FieldPath& path, Violations* violations) {
-  if (const auto gap = FindSequenceGap(before, sequence)) {
-    violations->Add(kInvalidField, path.Field("sequence"), *gap);
-  }
-}
-
 }  // namespace
 
 PoseDecoder::PoseDecoder(const VehicleConfig& config, PoseSource source,
@@ -243,20 +234,11 @@ void PoseDecoder::AddDefect(const core::Defect& defect, const FieldPath& path) {
                    defect.description);
 }
 
-std::vector<core::PoseSample> DecodePoses(const std::vector<PoseFields>& poses,
-                                          const FieldPath& path,
-                                          PoseDecoder* decoder,
-                                          Violations* violations) {
-  std::vector<core::PoseSample> samples;
-  samples.reserve(poses.size());
-  for (std::size_t i = 0; i < poses.size(); ++i) {
-    const FieldPath pose = path.At("poses", i);
-    samples.push_back(decoder->Decode(poses[i], pose));
-    if (i > 0) {
-      CheckFollows(poses[i - 1].sequence, poses[i].sequence, pose, violations);
-    }
+void CheckFollows(std::uint64_t before, std::uint64_t sequence,
+                  const FieldPath& path, Violations* violations) {
+  if (const auto gap = FindSequenceGap(before, sequence)) {
+    violations->Add(kInvalidField, path.Field("sequence"), *gap);
   }
-  return samples;
 }
 
 }  // namespace revisit::server

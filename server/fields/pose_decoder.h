@@ -3,6 +3,7 @@
 #define REVISIT_SERVER_FIELDS_POSE_DECODER_H_
 
 #include <array>
+#include <cstddef>
 #include <cstdint>
 #include <optional>
 #include <string>
@@ -65,12 +66,31 @@ class PoseDecoder {
   std::optional<GeodeticFrame> frame_;
 };
 
-// Decodes poses that have to follow each other; the field `poses` lies below
-// `path`.
-std::vector<core::PoseSample> DecodePoses(const std::vector<PoseFields>& poses,
+// Adds a violation unless a pose's sequence is the one after that of the pose
+// before it in the batch. `path` is the pose's.
+void CheckFollows(std::uint64_t before, std::uint64_t sequence,
+                  const FieldPath& path, Violations* violations);
+
+// Decodes the poses of a batch, which have to follow each other; the field
+// `poses` lies below `path`.
+template <typename Poses>
+std::vector<core::PoseSample> DecodePoses(const Poses& poses,
                                           const FieldPath& path,
                                           PoseDecoder* decoder,
-                                          Violations* violations);
+                                          Violations* violations) {
+  std::vector<core::PoseSample> samples;
+  samples.reserve(static_cast<std::size_t>(poses.size()));
+  std::uint64_t before = 0;
+  for (const auto& message : poses) {
+    const PoseFields fields = PoseFieldsOf(message);
+    const FieldPath pose = path.At("poses", samples.size());
+    const bool is_first = samples.empty();
+    samples.push_back(decoder->Decode(fields, pose));
+    if (!is_first) CheckFollows(before, fields.sequence, pose, violations);
+    before = fields.sequence;
+  }
+  return samples;
+}
 
 }  // namespace revisit::server
 

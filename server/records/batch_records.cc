@@ -2,7 +2,6 @@
 
 #include <xxhash.h>
 
-#include <cstddef>
 #include <utility>
 
 #include "server/fields/covariances.h"
@@ -49,19 +48,23 @@ void Replace(const PoseFields& revised, const VehicleConfig& config,
 
 }  // namespace
 
-void EncodeBatch(const std::vector<PoseFields>& poses, DecodedBatch* batch) {
-  const std::vector<StoredPose> stored(poses.begin(), poses.end());
-  std::size_t bytes = 0;
-  for (const StoredPose& pose : stored) bytes += BytesInBatch(pose.size());
+std::size_t BatchWriter::BytesOf(const PoseFields& pose) {
+  return BytesInBatch(StoredPose(pose).size());
+}
+
+BatchWriter::BatchWriter(std::size_t count, std::size_t bytes,
+                         DecodedBatch* batch)
+    : batch_(batch) {
+  batch->fingerprints.reserve(count);
   batch->payload.resize(bytes);
-  batch->fingerprints.reserve(stored.size());
-  auto* next = reinterpret_cast<std::uint8_t*>(&batch->payload[0]);
-  for (const StoredPose& pose : stored) {
-    next = BeginPose(pose.size(), next);
-    std::uint8_t* const end = pose.Write(next);
-    batch->fingerprints.push_back(XXH3_64bits(next, pose.size()));
-    next = end;
-  }
+  next_ = reinterpret_cast<std::uint8_t*>(&batch->payload[0]);
+}
+
+void BatchWriter::Add(const PoseFields& pose) {
+  const StoredPose stored(pose);
+  std::uint8_t* const begin = BeginPose(stored.size(), next_);
+  next_ = stored.Write(begin);
+  batch_->fingerprints.push_back(XXH3_64bits(begin, stored.size()));
 }
 
 absl::StatusOr<std::optional<BatchRecord>> ReviseBatch(

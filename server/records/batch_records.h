@@ -3,10 +3,10 @@
 #ifndef REVISIT_SERVER_RECORDS_BATCH_RECORDS_H_
 #define REVISIT_SERVER_RECORDS_BATCH_RECORDS_H_
 
+#include <cstddef>
 #include <cstdint>
 #include <functional>
 #include <optional>
-#include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
@@ -17,8 +17,32 @@
 
 namespace revisit::server {
 
-// Sets payload and fingerprints of the batch.
-void EncodeBatch(const std::vector<PoseFields>& poses, DecodedBatch* batch);
+// Writes payload and fingerprints of a batch, a pose after the other.
+class BatchWriter {
+ public:
+  // The bytes that a pose takes in a payload.
+  static std::size_t BytesOf(const PoseFields& pose);
+
+  // For so many poses, which take so many bytes together.
+  BatchWriter(std::size_t count, std::size_t bytes, DecodedBatch* batch);
+
+  void Add(const PoseFields& pose);
+
+ private:
+  DecodedBatch* const batch_;
+  std::uint8_t* next_;
+};
+
+// Sets payload and fingerprints of the batch. Poses: a repeated field.
+template <typename Poses>
+void EncodeBatch(const Poses& poses, DecodedBatch* batch) {
+  std::size_t bytes = 0;
+  for (const auto& pose : poses) {
+    bytes += BatchWriter::BytesOf(PoseFieldsOf(pose));
+  }
+  BatchWriter writer(static_cast<std::size_t>(poses.size()), bytes, batch);
+  for (const auto& pose : poses) writer.Add(PoseFieldsOf(pose));
+}
 
 // Returns the new pose of a sequence, or nothing if it stays as it is.
 using RevisedPose =

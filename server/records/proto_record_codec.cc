@@ -78,7 +78,7 @@ absl::StatusOr<DecodedBatch> DecodeStored(const stored::PoseBatch& stored,
   PoseDecoder decoder(config, PoseSource::kStored, &violations);
   DecodedBatch batch;
   batch.samples =
-      DecodePoses(PosesOf(stored), FieldPath(), &decoder, &violations);
+      DecodePoses(stored.poses(), FieldPath(), &decoder, &violations);
   if (violations.count() > 0) return violations.ToStatus();
   batch.origin = decoder.origin();
   return batch;

@@ -29,13 +29,4 @@ absl::StatusOr<stored::PoseBatch> ParseBatch(const std::string& payload) {
   return batch;
 }
 
-std::vector<PoseFields> PosesOf(const stored::PoseBatch& batch) {
-  std::vector<PoseFields> poses;
-  poses.reserve(static_cast<std::size_t>(batch.poses_size()));
-  for (const stored::Pose& pose : batch.poses()) {
-    poses.push_back(PoseFieldsOf(pose));
-  }
-  return poses;
-}
-
 }  // namespace revisit::server

@@ -5,11 +5,9 @@
 #include <cstddef>
 #include <cstdint>
 #include <string>
-#include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "server/fields/pose_fields.h"
 #include "server/records/stored_records.pb.h"
 
 namespace revisit::server {
@@ -26,9 +24,6 @@ std::uint8_t* BeginPose(std::size_t size, std::uint8_t* next);
 // DATA_LOSS: the payload is not that of a batch.
 absl::Status NotABatch();
 absl::StatusOr<stored::PoseBatch> ParseBatch(const std::string& payload);
-
-// The poses of a batch, which must outlive them.
-std::vector<PoseFields> PosesOf(const stored::PoseBatch& batch);
 
 }  // namespace revisit::server
 

@@ -12,6 +12,20 @@ namespace {
 constexpr core::NodeIndex kManyNodes = 20'000;
 constexpr std::size_t kManyClosures = 500;
 
+// Answers with the value, or with the status where that is not OK.
+template <typename Value>
+std::function<void(const absl::Status&)> Answering(
+    std::function<void(absl::StatusOr<Value>)> callback, Value value) {
+  return [callback = std::move(callback),
+          value = std::move(value)](const absl::Status& status) {
+    if (status.ok()) {
+      callback(value);
+    } else {
+      callback(status);
+    }
+  };
+}
+
 }  // namespace
 
 using absl::StatusCode;
@@ -266,30 +280,28 @@ void Changes::WriteRevision(const RevisionPlanner& make_plan,
     callback(RevisionResult{vehicle_->head.revision(), 0, plan->dropped_count});
     return;
   }
-  const std::uint64_t next = vehicle_->head.revision() + 1;
-  const Then answer = [this, callback, revised = plan->revised_count,
-                       dropped =
-                           plan->dropped_count](const absl::Status& status) {
-    if (status.ok()) {
-      callback(RevisionResult{vehicle_->head.revision(), revised, dropped,
-                              /*is_new=*/true});
-    } else {
-      callback(status);
-    }
-  };
+  WriteRevised(std::move(plan->batches),
+               {vehicle_->head.revision() + 1, plan->revised_count,
+                plan->dropped_count, /*is_new=*/true},
+               callback);
+}
+
+void Changes::WriteRevised(BatchSource batches, const RevisionResult& result,
+                           const RevisionCallback& callback) {
   queue_->set_store_lead(VehicleQueue::StoreLead::kPoses);
   Write(
       [&](Storage::Done done) {
         vehicle_->storage->ReviseBatches(vehicle_->head.key(),
-                                         std::move(plan->batches), next,
+                                         std::move(batches), result.revision,
                                          std::move(done));
       },
-      [this, next, answer](const absl::Status& status) {
+      [this, result, callback](const absl::Status& status) {
         if (status.ok()) {
-          replayer_->Rebuild(vehicle_->head.config(), next, answer);
+          replayer_->Rebuild(vehicle_->head.config(), result.revision,
+                             Answering(callback, result));
         } else {
           queue_->set_store_lead(VehicleQueue::StoreLead::kNone);
-          answer(status);
+          callback(status);
         }
       });
 }
@@ -347,22 +359,23 @@ void Changes::StorePair(
   if (present != vehicle_->pairs.Of(kind).end()) {
     added.pair = present->second;
     added.revision = vehicle_->head.revision();
-    Confirm([callback, added](const absl::Status& status) {
-      if (status.ok()) {
-        callback(added);
-      } else {
-        callback(status);
-      }
-    });
+    Confirm(Answering(callback, added));
     return;
   }
   const bool is_last = PlaceInOrder(&pair);
-  added.pair = pair;
+  added.pair = std::move(pair);
   added.revision = vehicle_->head.revision() + 1;
   added.is_new = true;
+  WritePair(kind, added, is_last, measured, callback);
+}
+
+void Changes::WritePair(
+    PairKind kind, const AddedPair& added, bool is_last,
+    const std::shared_ptr<const core::MeasuredLoop>& measured,
+    const PairCallback& callback) {
   Write(
       [&](Storage::Done done) {
-        vehicle_->storage->AddPosePair(vehicle_->head.key(), kind, pair,
+        vehicle_->storage->AddPosePair(vehicle_->head.key(), kind, added.pair,
                                        added.revision, std::move(done));
       },
       [this, kind, added, is_last, measured,
@@ -379,13 +392,7 @@ void Changes::StorePair(
         }
         queue_->set_store_lead(VehicleQueue::StoreLead::kVehicle);
         replayer_->Rebuild(vehicle_->head.config(), added.revision,
-                           [added, callback](const absl::Status& rebuilt) {
-                             if (rebuilt.ok()) {
-                               callback(added);
-                             } else {
-                               callback(rebuilt);
-                             }
-                           });
+                           Answering(callback, added));
       });
 }
 
@@ -477,14 +484,7 @@ void Changes::DeletePosePair(
   }
   const auto found = vehicle_->pairs.Of(kind).find(id);
   if (found == vehicle_->pairs.Of(kind).end()) {
-    const PairWords words = WordsOf(kind);
-    Confirm([callback,
-             missing = Error(StatusCode::kNotFound, words.not_found,
-                             StrCat("vehicle '", vehicle_->id, "' has no ",
-                                    words.noun, " '", id, "'"))](
-                const absl::Status& status) {
-      callback(status.ok() ? missing : status);
-    });
+    ConfirmMissing(kind, id, callback);
     return;
   }
   const std::uint64_t next = vehicle_->head.revision() + 1;
@@ -508,6 +508,19 @@ void Changes::DeletePosePair(
   } else {
     WriteForLongWork(write, VehicleQueue::StoreLead::kVehicle, take_back);
   }
+}
+
+void Changes::ConfirmMissing(
+    PairKind kind, const std::string& id,
+    const std::function<void(absl::StatusOr<std::uint64_t>)>& callback) {
+  const PairWords words = WordsOf(kind);
+  const absl::Status missing =
+      Error(StatusCode::kNotFound, words.not_found,
+            StrCat("vehicle '", vehicle_->id, "' has no ", words.noun, " '", id,
+                   "'"));
+  Confirm([callback, missing](const absl::Status& status) {
+    callback(status.ok() ? missing : status);
+  });
 }
 
 void Changes::TakeBack(PairKind kind, const PosePairRecord& pair,

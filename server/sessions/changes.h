@@ -121,6 +121,9 @@ class Changes {
   Then AnswerWithView(const ViewCallback& callback);
   void WriteRevision(const RevisionPlanner& make_plan,
                      const RevisionCallback& callback);
+  // Replaces the batches, and makes the graph anew.
+  void WriteRevised(BatchSource batches, const RevisionResult& result,
+                    const RevisionCallback& callback);
   // OK if the pair may be added, or if `present`, the pair that has its id, is
   // the same; `present` is null if no pair has the id.
   absl::Status CheckNewPair(PairKind kind, const PosePairRecord& pair,
@@ -131,13 +134,22 @@ class Changes {
   void StorePair(PairKind kind, PosePairRecord pair,
                  const std::shared_ptr<const core::MeasuredLoop>& measured,
                  const PairCallback& callback);
+  // Writes a new pair, and adds it to the graph; one that is not the last is
+  // added by making the graph anew.
+  void WritePair(PairKind kind, const AddedPair& added, bool is_last,
+                 const std::shared_ptr<const core::MeasuredLoop>& measured,
+                 const PairCallback& callback);
   // Gives the pair its place in the order of creation times. Returns whether it
   // is the last.
   bool PlaceInOrder(PosePairRecord* pair) const;
   void TakeOnLastPair(
       PairKind kind, const PosePairRecord& pair, std::uint64_t revision,
       const std::shared_ptr<const core::MeasuredLoop>& measured);
-  // Takes a pair, which is still among Pairs(), out of the graph.
+  // Answers that there is no such pair, once the storage has confirmed it.
+  void ConfirmMissing(
+      PairKind kind, const std::string& id,
+      const std::function<void(absl::StatusOr<std::uint64_t>)>& callback);
+  // Takes a pair, which is still among the vehicle's, out of the graph.
   void TakeBack(PairKind kind, const PosePairRecord& pair,
                 std::uint64_t revision);
 

@@ -232,27 +232,7 @@ absl::StatusOr<bool> PoseDropper::TakeRow(const BatchRecord& row) {
       if (!work_->rows.empty()) return false;
     }
   }
-  if (joins) {
-    if (!work_->stretch) {
-      work_->stretch.emplace(Stretch{
-          core::DroppedStretchMaker(vehicle_->loaded->resampler_options()),
-          row.first_sequence});
-      if (work_->before && !is_dropped) {
-        work_->stretch->maker.Begin(*work_->before);
-      }
-    }
-    Stretch& stretch = *work_->stretch;
-    if (is_dropped) {
-      stretch.maker.Add(*poses->dropped);
-    } else {
-      for (const core::PoseSample& sample : poses->samples) {
-        stretch.maker.Add(sample);
-      }
-      stretch.has_poses = true;
-    }
-    stretch.count += row.count;
-    ++stretch.rows;
-  }
+  if (joins) Join(row, *poses);
   if (is_dropped) {
     work_->before.reset();
   } else {
@@ -260,6 +240,28 @@ absl::StatusOr<bool> PoseDropper::TakeRow(const BatchRecord& row) {
   }
   work_->next_sequence = row.first_sequence + row.count;
   return true;
+}
+
+void PoseDropper::Join(const BatchRecord& row, const DecodedPoses& poses) {
+  if (!work_->stretch) {
+    work_->stretch.emplace(Stretch{
+        core::DroppedStretchMaker(vehicle_->loaded->resampler_options()),
+        row.first_sequence});
+    if (work_->before && !poses.dropped) {
+      work_->stretch->maker.Begin(*work_->before);
+    }
+  }
+  Stretch& stretch = *work_->stretch;
+  if (poses.dropped) {
+    stretch.maker.Add(*poses.dropped);
+  } else {
+    for (const core::PoseSample& sample : poses.samples) {
+      stretch.maker.Add(sample);
+    }
+    stretch.has_poses = true;
+  }
+  stretch.count += row.count;
+  ++stretch.rows;
 }
 
 bool PoseDropper::MayDrop(const BatchRecord& row) const {
@@ -279,45 +281,55 @@ absl::Status PoseDropper::Divide(const BatchRecord& row) {
   if (from >= to || to - from < kLeastDivided || to - from == row.count) {
     return absl::OkStatus();
   }
-  BatchVersions whole;
-  const absl::Status reading = vehicle_->storage->ReadBatches(
-      vehicle_->head.key(), row.first_sequence, row.first_sequence,
-      BatchVersion::kAsSent, [&](BatchRecord sent) {
-        whole.as_sent = std::move(sent);
-        return false;
-      });
-  if (!reading.ok()) return reading;
-  if (whole.as_sent.revision != row.revision ||
-      whole.as_sent.payload != row.payload) {
-    whole.revised = row;
-  }
-  const auto part = [&](const BatchRecord& of, std::uint64_t first,
-                        std::uint64_t count) -> absl::StatusOr<BatchRecord> {
-    BatchRecord made;
-    made.first_sequence = first;
-    made.count = static_cast<std::uint32_t>(count);
-    made.revision = of.revision;
-    absl::StatusOr<std::string> payload = vehicle_->codec->SliceBatch(
-        of.payload, first - row.first_sequence, count);
-    if (!payload.ok()) return payload.status();
-    made.payload = *std::move(payload);
-    return made;
-  };
+  const absl::StatusOr<BatchVersions> whole = ReadVersions(row);
+  if (!whole.ok()) return whole.status();
   std::vector<BatchVersions> rows;
   const std::uint64_t ends[] = {row.first_sequence, from, to, end};
   for (int i = 0; i < 3; ++i) {
     if (ends[i] == ends[i + 1]) continue;
     const std::uint64_t count = ends[i + 1] - ends[i];
-    absl::StatusOr<BatchRecord> sent = part(whole.as_sent, ends[i], count);
+    absl::StatusOr<BatchRecord> sent = PartOf(whole->as_sent, ends[i], count);
     if (!sent.ok()) return sent.status();
     rows.push_back({*std::move(sent)});
-    if (!whole.revised) continue;
-    absl::StatusOr<BatchRecord> revised = part(*whole.revised, ends[i], count);
+    if (!whole->revised) continue;
+    absl::StatusOr<BatchRecord> revised =
+        PartOf(*whole->revised, ends[i], count);
     if (!revised.ok()) return revised.status();
     rows.back().revised = *std::move(revised);
   }
   work_->rows = std::move(rows);
   return absl::OkStatus();
+}
+
+absl::StatusOr<BatchVersions> PoseDropper::ReadVersions(
+    const BatchRecord& current) const {
+  BatchVersions versions;
+  const absl::Status reading = vehicle_->storage->ReadBatches(
+      vehicle_->head.key(), current.first_sequence, current.first_sequence,
+      BatchVersion::kAsSent, [&](BatchRecord sent) {
+        versions.as_sent = std::move(sent);
+        return false;
+      });
+  if (!reading.ok()) return reading;
+  if (versions.as_sent.revision != current.revision ||
+      versions.as_sent.payload != current.payload) {
+    versions.revised = current;
+  }
+  return versions;
+}
+
+absl::StatusOr<BatchRecord> PoseDropper::PartOf(const BatchRecord& row,
+                                                std::uint64_t first,
+                                                std::uint64_t count) const {
+  absl::StatusOr<std::string> payload = vehicle_->codec->SliceBatch(
+      row.payload, first - row.first_sequence, count);
+  if (!payload.ok()) return payload.status();
+  BatchRecord part;
+  part.first_sequence = first;
+  part.count = static_cast<std::uint32_t>(count);
+  part.revision = row.revision;
+  part.payload = *std::move(payload);
+  return part;
 }
 
 void PoseDropper::Complete(const std::optional<core::Pose>& next, bool is_end) {

@@ -14,6 +14,7 @@
 #include <vector>
 
 #include "absl/status/status.h"
+#include "absl/status/statusor.h"
 #include "core/drive/dropped_stretch.h"
 #include "core/drive/pose_graph.h"
 #include "core/drive/retention.h"
@@ -114,10 +115,17 @@ class PoseDropper {
   // Takes the next row of the store. Returns whether more may be taken before a
   // write.
   absl::StatusOr<bool> TakeRow(const BatchRecord& row);
+  // Makes the row a part of the stretch, which it may begin.
+  void Join(const BatchRecord& row, const DecodedPoses& poses);
   bool MayDrop(const BatchRecord& row) const;
   // Sets Work::rows to the parts of a row of which a part is to go, if that is
   // worth it.
   absl::Status Divide(const BatchRecord& row);
+  // A row as it was sent, beside this current version where that is another.
+  absl::StatusOr<BatchVersions> ReadVersions(const BatchRecord& current) const;
+  absl::StatusOr<BatchRecord> PartOf(const BatchRecord& row,
+                                     std::uint64_t first,
+                                     std::uint64_t count) const;
   // Sets Work::rows to what is there of the stretch, if any of it is new.
   // `next`: the pose behind it, if that is kept or not dropped yet.
   void Complete(const std::optional<core::Pose>& next, bool is_end);
