@@ -57,14 +57,20 @@ class Export final : public WritingCall<Export> {
 
   // Ends an export whose vehicle has not come yet. One that has begun needs the
   // store no more, and goes on while the server drains.
-  void OnDrain(const Drain::End& end) override {
+  void OnDrain(const Drain::End& end)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) override {
     if (end.at_once && !begun_) EndLocked(end.status);
   }
 
   // A late alarm may keep this object, so the copy is dropped now.
-  void OnEnd(const absl::Status&) override { exported_.reset(); }
+  void OnEnd(const absl::Status&)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) override {
+    exported_.reset();
+  }
 
-  void OnWritten() override { Continue(); }
+  void OnWritten() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) override {
+    Continue();
+  }
 
   absl::Status Begin() {
     v1::ExportPoseGraphRequest request;

@@ -95,16 +95,19 @@ class Revision final : public ReadingCall<Revision> {
   // Ends a call whose poses are still coming: nothing has changed yet. Where
   // the store is out of reach, nobody knows whether the session's revision is
   // stored.
-  void OnDrain(const Drain::End& end) override {
+  void OnDrain(const Drain::End& end)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) override {
     if (!revising_ || end.at_once) EndLocked(end.status);
   }
 
   // A revision that the session has already is carried through.
-  void OnRightsLost(const absl::Status& reason) override {
+  void OnRightsLost(const absl::Status& reason)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) override {
     if (!revising_) EndLocked(reason);
   }
 
-  void OnEnd(const absl::Status& status) override {
+  void OnEnd(const absl::Status& status)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) override {
     draft_room_.clear();
     if (status.ok()) WriteMessage(response_, response_bytes_);
   }

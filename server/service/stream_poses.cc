@@ -197,14 +197,15 @@ class PoseStream final : public BidiCall<PoseStream> {
     Advance();
   }
 
-  void OnWritten() override { Advance(); }
+  void OnWritten() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) override { Advance(); }
 
-  void OnGivenUp() override { Advance(); }
+  void OnGivenUp() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) override { Advance(); }
 
   // Ends the stream after the last acknowledgement, or without it. The client
   // resends batches that the session has not taken, or that it does not find
   // stored.
-  void OnDrain(const Drain::End& end) override {
+  void OnDrain(const Drain::End& end)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) override {
     if (end.at_once) {
       SetFailure(end.status);
       is_left_ = true;
@@ -216,7 +217,8 @@ class PoseStream final : public BidiCall<PoseStream> {
 
   // Ends the stream after the last acknowledgement of batches that the session
   // has taken.
-  void OnRightsLost(const absl::Status& reason) override {
+  void OnRightsLost(const absl::Status& reason)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) override {
     SetFailure(reason);
     Advance();
   }

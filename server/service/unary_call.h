@@ -44,7 +44,8 @@ class UnaryCall : public CallReactor<UnaryCall, grpc::ServerUnaryReactor> {
  private:
   // While the server drains, the call goes on to its answer; where the store is
   // out of reach, that may never come.
-  void OnDrain(const Drain::End& end) override {
+  void OnDrain(const Drain::End& end)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) override {
     if (!end.at_once) return;
     MarkGivenUp();
     EndLocked(end.status);
@@ -88,7 +89,8 @@ class TypedCall final : public UnaryCall {
     if (!status.ok()) End(status);
   }
 
-  void OnEnd(const absl::Status& status) override {
+  void OnEnd(const absl::Status& status)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) override {
     if (status.ok()) WriteMessage(response_, response_bytes_);
   }
 
