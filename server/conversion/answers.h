@@ -10,7 +10,8 @@
 #include "revisit/v1/pose_graph_service.pb.h"
 #include "revisit/v1/vehicle.pb.h"
 #include "server/sessions/append_request.h"
-#include "server/storage/storage.h"
+#include "server/storage/records.h"
+#include "server/storage/storage_facts.h"
 
 namespace revisit::server {
 

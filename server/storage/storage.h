@@ -48,6 +48,7 @@
 #include "absl/strings/string_view.h"
 #include "server/base/histogram.h"
 #include "server/storage/records.h"
+#include "server/storage/storage_facts.h"
 
 namespace revisit::server {
 
@@ -83,28 +84,6 @@ struct SharingState {
   std::uint64_t lost_leases = 0;
   // Whether the server may answer from memory; see Storage::CheckOwned().
   bool lease_holds = true;
-};
-
-// The harm that an acknowledged write survives.
-struct Durability {
-  enum class Level {
-    // A crash of the process, but not the loss of power.
-    kNone,
-    // Everything but the loss of the machine that keeps the store.
-    kLocal,
-    // The loss of one machine too.
-    kReplicated,
-  };
-  Level level = Level::kLocal;
-  // The settings that decide it, for operators; empty where nothing does.
-  std::string details = std::string();
-};
-
-// A server that shares a storage with others.
-struct StorageUser {
-  std::string address;
-  // As it said last: in PostgreSQL with each beat.
-  std::int64_t owned_vehicles = 0;
 };
 
 // A vehicle that another server asks for.

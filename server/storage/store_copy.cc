@@ -6,6 +6,8 @@
 #include <utility>
 #include <vector>
 
+#include "server/storage/storage.h"
+
 namespace revisit::server {
 namespace {
 

@@ -7,10 +7,12 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "server/storage/storage.h"
+#include "server/storage/records.h"
 #include "server/storage/store_report.h"
 
 namespace revisit::server {
+
+class Storage;
 
 // An empty store that takes records, all or nothing: destroyed before Commit(),
 // it leaves nothing behind.

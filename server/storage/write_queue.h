@@ -15,7 +15,7 @@
 
 #include "absl/status/status.h"
 #include "core/base/mutex.h"
-#include "server/storage/storage.h"
+#include "server/storage/records.h"
 
 namespace revisit::server {
 
@@ -55,7 +55,7 @@ struct PendingWrite {
   // For something else: may be called again after it was rolled back.
   std::function<absl::Status()> apply;
   // One callback per joined append, or a single one.
-  std::vector<Storage::Done> done;
+  std::vector<WriteDone> done;
   Need need = Need::kRoom;
 
   // REQUIRES: there are rows.

@@ -22,7 +22,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
-#include "server/storage/storage.h"
+#include "server/storage/storage_facts.h"
 
 namespace revisit::server {
 

@@ -1,0 +1,34 @@
+// What a storage says of itself (storage.h) that callers are told.
+#ifndef REVISIT_SERVER_STORAGE_STORAGE_FACTS_H_
+#define REVISIT_SERVER_STORAGE_STORAGE_FACTS_H_
+
+#include <cstdint>
+#include <string>
+
+namespace revisit::server {
+
+// The harm that an acknowledged write survives.
+struct Durability {
+  enum class Level {
+    // A crash of the process, but not the loss of power.
+    kNone,
+    // Everything but the loss of the machine that keeps the store.
+    kLocal,
+    // The loss of one machine too.
+    kReplicated,
+  };
+  Level level = Level::kLocal;
+  // The settings that decide it, for operators; empty where nothing does.
+  std::string details = std::string();
+};
+
+// A server that shares a storage with others.
+struct StorageUser {
+  std::string address;
+  // As it said last: in PostgreSQL with each beat.
+  std::int64_t owned_vehicles = 0;
+};
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_STORAGE_STORAGE_FACTS_H_
