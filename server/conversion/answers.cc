@@ -6,6 +6,7 @@
 #include "core/drive/dropped_stretch.h"
 #include "core/drive/findings.h"
 #include "core/drive/pose_graph.h"
+#include "core/geometry/state_matrix.h"
 #include "core/settings.h"
 #include "server/conversion/findings.h"
 #include "server/conversion/names.h"

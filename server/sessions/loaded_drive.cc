@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <utility>
 
+#include "core/drive/pose_graph.h"
+
 namespace revisit::server {
 
 std::vector<core::Jump> LoadedDrive::JumpsAt(std::uint64_t first,
@@ -29,6 +31,10 @@ void LoadedDrive::Take(std::unique_ptr<core::Drive> drive,
   snapshots_->Begin(*drive_, kept.parts, kept.sequence);
   LookLater();
   NoteSize();
+}
+
+bool LoadedDrive::is_worth_a_look() const {
+  return drive_->graph().size() >= look_at_;
 }
 
 core::AppendResult LoadedDrive::Append(

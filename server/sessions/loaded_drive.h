@@ -56,7 +56,7 @@ class LoadedDrive {
 
   // ---- When the drive is looked at for what to drop (pose_dropper.h)
 
-  bool is_worth_a_look() const { return drive_->graph().size() >= look_at_; }
+  bool is_worth_a_look() const;
   void LookAtOnce() { look_at_ = 0; }
   // The next look is when there are a tenth more nodes: the same whenever the
   // vehicle was loaded.

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "core/drive/pose_graph.h"
+
 namespace revisit::server {
 
 void SnapshotProgress::See(const core::Drive& drive) {
