@@ -38,8 +38,8 @@ void CheckNote(const std::string& note, const FieldPath& path,
             violations);
 }
 
-// What a pair has beside its poses. Adds a violation for all that is wrong
-// whatever the vehicle's state space is.
+// The content of a pair beside its poses. Adds a violation for all that is
+// wrong whatever the vehicle's state space is.
 PairContent ContentOf(const v1::LoopClosure& closure, const FieldPath& path,
                       Violations* violations) {
   PairContent content;

@@ -23,9 +23,12 @@ absl::StatusOr<DecodedBatch> DecodeBatch(const Poses& poses, int max_poses,
   Violations violations;
   PoseDecoder decoder(config, PoseSource::kAppend, &violations);
   DecodedBatch batch;
-  batch.samples = DecodePoses(poses, path, &decoder, &violations);
+  BatchEncoder encoder(static_cast<std::size_t>(poses.size()));
+  batch.samples =
+      DecodePoses(poses, path, &decoder, &violations,
+                  [&](const PoseFields& pose) { encoder.Measure(pose); });
   if (violations.count() > 0) return violations.ToStatus();
-  EncodeBatch(poses, &batch);
+  encoder.Write(poses, &batch);
   batch.origin = decoder.origin();
   return batch;
 }

@@ -1,4 +1,4 @@
-// What a verifier measured between the two poses of a loop closure.
+// The measurement that a verifier made between the two poses of a loop closure.
 #ifndef REVISIT_SERVER_FIELDS_LOOP_MEASUREMENT_H_
 #define REVISIT_SERVER_FIELDS_LOOP_MEASUREMENT_H_
 

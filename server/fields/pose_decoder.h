@@ -73,12 +73,12 @@ void CheckFollows(std::uint64_t before, std::uint64_t sequence,
                   const FieldPath& path, Violations* violations);
 
 // Decodes the poses of a batch, which have to follow each other; the field
-// `poses` lies below `path`.
-template <typename Poses>
+// `poses` lies below `path`. Calls `each` with the fields of every pose.
+template <typename Poses, typename Each>
 std::vector<core::PoseSample> DecodePoses(const Poses& poses,
                                           const FieldPath& path,
                                           PoseDecoder* decoder,
-                                          Violations* violations) {
+                                          Violations* violations, Each each) {
   std::vector<core::PoseSample> samples;
   samples.reserve(static_cast<std::size_t>(poses.size()));
   std::uint64_t before = 0;
@@ -89,6 +89,7 @@ std::vector<core::PoseSample> DecodePoses(const Poses& poses,
     samples.push_back(decoder->Decode(fields, pose));
     if (!is_first) CheckFollows(before, fields.sequence, pose, violations);
     before = fields.sequence;
+    each(fields);
   }
   return samples;
 }

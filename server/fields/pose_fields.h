@@ -94,7 +94,8 @@ PoseFields PoseFieldsOf(const Pose& pose) {
   return fields;
 }
 
-// What was measured between the two poses of a loop closure.
+// The measurement between the two poses of a loop closure, as its message has
+// it.
 struct MeasurementFields {
   double x_meters = 0.0;
   double y_meters = 0.0;

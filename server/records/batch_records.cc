@@ -8,7 +8,6 @@
 #include "server/fields/field_violations.h"
 #include "server/fields/pose_decoder.h"
 #include "server/records/stored_batch.h"
-#include "server/records/stored_pose.h"
 
 namespace revisit::server {
 namespace {
@@ -48,23 +47,24 @@ void Replace(const PoseFields& revised, const VehicleConfig& config,
 
 }  // namespace
 
-std::size_t BatchWriter::BytesOf(const PoseFields& pose) {
-  return BytesInBatch(StoredPose(pose).size());
+void BatchEncoder::Measure(const PoseFields& pose) {
+  stored_.emplace_back(pose);
+  bytes_ += BytesInBatch(stored_.back().size());
 }
 
-BatchWriter::BatchWriter(std::size_t count, std::size_t bytes,
-                         DecodedBatch* batch)
-    : batch_(batch) {
-  batch->fingerprints.reserve(count);
-  batch->payload.resize(bytes);
-  next_ = reinterpret_cast<std::uint8_t*>(&batch->payload[0]);
+std::uint8_t* BatchEncoder::Begin(DecodedBatch* batch) const {
+  batch->fingerprints.reserve(stored_.size());
+  batch->payload.resize(bytes_);
+  return reinterpret_cast<std::uint8_t*>(&batch->payload[0]);
 }
 
-void BatchWriter::Add(const PoseFields& pose) {
-  const StoredPose stored(pose);
-  std::uint8_t* const begin = BeginPose(stored.size(), next_);
-  next_ = stored.Write(begin);
-  batch_->fingerprints.push_back(XXH3_64bits(begin, stored.size()));
+std::uint8_t* BatchEncoder::Add(const StoredPose& stored,
+                                const PoseFields& pose, std::uint8_t* next,
+                                DecodedBatch* batch) {
+  next = BeginPose(stored.size(), next);
+  std::uint8_t* const end = stored.Write(pose, next);
+  batch->fingerprints.push_back(XXH3_64bits(next, stored.size()));
+  return end;
 }
 
 absl::StatusOr<std::optional<BatchRecord>> ReviseBatch(

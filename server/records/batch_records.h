@@ -7,42 +7,47 @@
 #include <cstdint>
 #include <functional>
 #include <optional>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "server/fields/pose_fields.h"
+#include "server/records/stored_pose.h"
 #include "server/sessions/record_codec.h"
 #include "server/sessions/vehicle_config.h"
 #include "server/storage/storage.h"
 
 namespace revisit::server {
 
-// Writes payload and fingerprints of a batch, a pose after the other.
-class BatchWriter {
+// Writes poses as the payload of a batch, in two goes: so it takes as many
+// bytes as it needs, and a batch with defects is not written at all.
+class BatchEncoder {
  public:
-  // The bytes that a pose takes in a payload.
-  static std::size_t BytesOf(const PoseFields& pose);
+  // `count`: how many poses will come.
+  explicit BatchEncoder(std::size_t count) { stored_.reserve(count); }
 
-  // For so many poses, which take so many bytes together.
-  BatchWriter(std::size_t count, std::size_t bytes, DecodedBatch* batch);
+  // Call for each pose of the batch, in order.
+  void Measure(const PoseFields& pose);
 
-  void Add(const PoseFields& pose);
+  // Sets payload and fingerprints of the batch to those of the poses that were
+  // measured, which are these messages.
+  template <typename Poses>
+  void Write(const Poses& poses, DecodedBatch* batch) const {
+    std::uint8_t* next = Begin(batch);
+    auto stored = stored_.begin();
+    for (const auto& pose : poses) {
+      next = Add(*stored++, PoseFieldsOf(pose), next, batch);
+    }
+  }
 
  private:
-  DecodedBatch* const batch_;
-  std::uint8_t* next_;
-};
+  std::uint8_t* Begin(DecodedBatch* batch) const;
+  static std::uint8_t* Add(const StoredPose& stored, const PoseFields& pose,
+                           std::uint8_t* next, DecodedBatch* batch);
 
-// Sets payload and fingerprints of the batch. Poses: a repeated field.
-template <typename Poses>
-void EncodeBatch(const Poses& poses, DecodedBatch* batch) {
-  std::size_t bytes = 0;
-  for (const auto& pose : poses) {
-    bytes += BatchWriter::BytesOf(PoseFieldsOf(pose));
-  }
-  BatchWriter writer(static_cast<std::size_t>(poses.size()), bytes, batch);
-  for (const auto& pose : poses) writer.Add(PoseFieldsOf(pose));
-}
+  std::vector<StoredPose> stored_;
+  std::size_t bytes_ = 0;
+};
 
 // Returns the new pose of a sequence, or nothing if it stays as it is.
 using RevisedPose =

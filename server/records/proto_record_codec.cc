@@ -79,8 +79,8 @@ absl::StatusOr<DecodedBatch> DecodeStored(const stored::PoseBatch& stored,
   Violations violations;
   PoseDecoder decoder(config, PoseSource::kStored, &violations);
   DecodedBatch batch;
-  batch.samples =
-      DecodePoses(stored.poses(), FieldPath(), &decoder, &violations);
+  batch.samples = DecodePoses(stored.poses(), FieldPath(), &decoder,
+                              &violations, [](const PoseFields&) {});
   if (violations.count() > 0) return violations.ToStatus();
   batch.origin = decoder.origin();
   return batch;

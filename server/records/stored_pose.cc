@@ -120,7 +120,7 @@ std::uint64_t Widened(std::int64_t value) {
 
 }  // namespace
 
-StoredPose::StoredPose(const PoseFields& pose) : pose_(&pose) {
+StoredPose::StoredPose(const PoseFields& pose) {
   size_ = VarintSize(pose.sequence) + PackedSize(*pose.error_transition);
   if (pose.stamp != nullptr) {
     stamp_size_ =
@@ -146,8 +146,8 @@ StoredPose::StoredPose(const PoseFields& pose) : pose_(&pose) {
   }
 }
 
-std::uint8_t* StoredPose::Write(std::uint8_t* next) const {
-  const PoseFields& pose = *pose_;
+std::uint8_t* StoredPose::Write(const PoseFields& pose,
+                                std::uint8_t* next) const {
   next = WriteVarint(stored::Pose::kSequenceFieldNumber, pose.sequence, next);
   if (pose.stamp != nullptr) {
     next = BeginBytes(stored::Pose::kStampFieldNumber, stamp_size_, next);

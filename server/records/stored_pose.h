@@ -12,7 +12,7 @@ namespace revisit::server {
 // Writes a pose as a serialized revisit.stored.Pose. Copying it into that
 // message and serializing the copy gives the same bytes, and takes longer than
 // all else that is done with a pose. Only fields that are named here reach the
-// store. The fields must outlive this, and stay as they are.
+// store.
 class StoredPose {
  public:
   explicit StoredPose(const PoseFields& pose);
@@ -20,12 +20,12 @@ class StoredPose {
   // How many bytes the pose takes.
   std::size_t size() const { return size_; }
 
-  // Returns the end of what was written, size() bytes on.
-  std::uint8_t* Write(std::uint8_t* next) const;
+  // Returns the end of what was written, size() bytes on. REQUIRES: `pose` is
+  // the one that this was made of.
+  std::uint8_t* Write(const PoseFields& pose, std::uint8_t* next) const;
 
  private:
-  const PoseFields* pose_;
-  // Those of the messages in it.
+  // The sizes of the messages in the pose.
   std::uint32_t stamp_size_ = 0;
   std::uint32_t position_size_ = 0;
   std::uint32_t quaternion_size_ = 0;

@@ -26,8 +26,8 @@ namespace revisit::server {
 using BatchDecoder =
     std::function<absl::StatusOr<DecodedBatch>(const VehicleConfig&)>;
 
-// The same for the options of searches: INVALID_ARGUMENT if those that a client
-// sent do not fit the vehicle.
+// Decodes the options of searches for a vehicle, in the same way.
+// INVALID_ARGUMENT if they do not fit it.
 using SearchOptionsDecoder =
     std::function<absl::StatusOr<core::SearchOptions>(const VehicleConfig&)>;
 
@@ -39,9 +39,9 @@ struct CheckOrder {
 };
 
 struct AppendRequest {
-  // What the poses mean depends on the config that the vehicle has when it is
-  // the batch's turn, so they come with their decoder. What that reads must
-  // stay as it is until AppendObserver::OnStaged().
+  // The poses come with their decoder, since their meaning depends on the
+  // config that the vehicle has when it is the batch's turn. The message that
+  // it reads must stay as it is until AppendObserver::OnStaged().
   BatchDecoder decode;
   // The uid of the vehicle that is meant; empty: whichever has the name.
   std::string vehicle_uid;

@@ -61,7 +61,8 @@ class Appends {
   void Run(const PendingPtr& append, const absl::Status& status,
            bool may_block);
   absl::StatusOr<Taken> TakeOn(const PendingPtr& append, bool may_block);
-  // The same for an append that begins with poses which came before.
+  // Does what TakeOn() does for an append that begins with poses which came
+  // before.
   absl::StatusOr<Taken> TakeOnKnown(const PendingPtr& append, bool may_block);
   absl::StatusOr<Taken> TakeOnNew(const PendingPtr& append);
   // Has an append that writes nothing answered, behind those before it.
@@ -96,7 +97,7 @@ class Appends {
   const int max_pending_;
   std::atomic<int> pending_{0};
 
-  // Those in flight, oldest first.
+  // The appends in flight, oldest first.
   std::deque<PendingPtr> unanswered_;
   // Whether the last batch with stamps had one too far ahead.
   bool was_ahead_ = false;

@@ -32,10 +32,10 @@ class Storage;
 // A vehicle as it was at the moment of its creation. Valid during the callback
 // that is given it.
 struct CreatedVehicle {
-  // As it was written.
+  // The row that was written.
   const VehicleRecord& record;
-  // As it was loaded. Null where others have changed or deleted it since then,
-  // so that the store and memory show it no longer as it was created.
+  // The vehicle as it was loaded. Null where others have changed or deleted it
+  // before that, so that memory does not show it as it was created.
   const VehicleView* view;
 };
 using CreateCallback =

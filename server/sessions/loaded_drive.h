@@ -37,7 +37,8 @@ class LoadedDrive {
   std::vector<core::Jump> JumpsAt(std::uint64_t first,
                                   std::uint64_t last) const;
 
-  // What the store has of a drive's snapshot: SnapshotProgress::Begin().
+  // The part of a drive's snapshot that the store has: see
+  // SnapshotProgress::Begin().
   struct Kept {
     std::uint32_t parts = 0;
     std::uint64_t sequence = 0;

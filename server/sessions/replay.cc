@@ -171,7 +171,7 @@ absl::Status Replayer::LoadPairs(PairKind kind, core::StateSpace space,
   }
 }
 
-// Of rejected candidates nothing was measured: they are only seen to decode.
+// Nothing was measured of rejected candidates: they are only seen to decode.
 absl::Status Replayer::TakePair(PairKind kind, core::StateSpace space,
                                 const PosePairRecord& pair,
                                 MeasuredLoops* measured) {

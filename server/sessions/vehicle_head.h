@@ -15,7 +15,7 @@ namespace revisit::server {
 // Belongs to the session's strand.
 class VehicleHead {
  public:
-  // What the vehicle will be once all appends in flight are durable and
+  // The vehicle as it will be once all appends in flight are durable and
   // applied.
   struct Staged {
     VehicleConfig config;
@@ -67,7 +67,7 @@ class VehicleHead {
     revision_ = revision;
     staged_ = {config_, durable_sequence_, revision_};
   }
-  // The same for a change of neither config nor poses.
+  // Takes on a durable revision that changed neither config nor poses.
   void Adopt(std::uint64_t revision) { Adopt(config_, revision); }
   // A client knows of poses that are not stored. Appends in flight go on.
   void LoseData() { config_.data_loss = true; }
@@ -81,7 +81,7 @@ class VehicleHead {
   std::uint64_t StageRow() { return ++staged_.revision; }
   // The rows staged last reach this sequence.
   void StageUpTo(std::uint64_t sequence) { staged_.sequence = sequence; }
-  // What was staged first is applied.
+  // The append that was staged first is durable and applied.
   void Advance(std::uint64_t sequence, std::uint64_t revision,
                const std::optional<GeodeticOrigin>& origin) {
     durable_sequence_ = sequence;

@@ -19,7 +19,7 @@ std::string BytesOf(const v1::Pose& pose) {
   // A byte more shows whether it stays within its size.
   std::string bytes(stored.size() + 1, '#');
   auto* const begin = reinterpret_cast<std::uint8_t*>(&bytes[0]);
-  EXPECT_EQ(stored.Write(begin), begin + stored.size());
+  EXPECT_EQ(stored.Write(fields, begin), begin + stored.size());
   EXPECT_EQ(bytes.back(), '#');
   bytes.pop_back();
   return bytes;
