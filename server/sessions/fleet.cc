@@ -379,6 +379,10 @@ Fleet::Residency Fleet::residency() const {
   return state_->ResidencyLocked();
 }
 
+RetentionMonitor::Counts Fleet::retention() const {
+  return state_->retention->Read();
+}
+
 void Fleet::CollectMetrics(Metrics* metrics) const {
   const Residency sum = residency();
   metrics->Gauge("revisit_resident_vehicles", "Vehicles in memory.")

@@ -113,6 +113,8 @@ class Fleet {
   };
   Residency residency() const;
 
+  RetentionMonitor::Counts retention() const;
+
   // The vehicles in memory, and what retention has dropped.
   void CollectMetrics(Metrics* metrics) const;
 
