@@ -220,7 +220,7 @@ std::string Drive::Impl::StateKey() const {
   writer.Put(static_cast<std::uint32_t>(settings.state_space));
   writer.Put(settings.node_spacing_meters);
   writer.Put(settings.max_step_meters);
-  const Correlation& correlation = motion_history.correlation();
+  const Correlation correlation = CorrelationOf(settings.search);
   writer.Put(static_cast<std::uint32_t>(correlation.model));
   writer.Put(correlation.meters);
   writer.Put(motion_history.stretch_nodes());
