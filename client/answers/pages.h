@@ -27,39 +27,85 @@ std::string OrderOf(const Item& item) {
 }
 inline std::uint64_t OrderOf(const v1::Pose& pose) { return pose.sequence(); }
 
+// The pages of a list, one after the other. `list(request)` asks for a page, and
+// `items(page)` are what it holds.
+template <typename Request, typename List, typename Items>
+class PageReader {
+ public:
+  using Page = std::decay_t<decltype(*std::declval<List>()(
+      std::declval<const Request&>()))>;
+
+  PageReader(Request request, List list, Items items)
+      : request_(std::move(request)),
+        list_(std::move(list)),
+        items_(std::move(items)) {}
+
+  // Reads the next page; false after the last one. INTERNAL if the list does
+  // not go on in its order, as when the server sends a page again, or consists
+  // of empty pages: it might never end.
+  absl::StatusOr<bool> Next() {
+    if (ended_) return false;
+    auto page = list_(request_);
+    if (!page.ok()) return page.status();
+    page_ = *std::move(page);
+    for (const auto& item : items_(page_)) {
+      if (absl::Status status = Follow(OrderOf(item)); !status.ok()) {
+        return status;
+      }
+    }
+    ended_ = page_.next_page_token().empty();
+    request_.set_page_token(page_.next_page_token());
+    empty_pages_ = items_(page_).empty() ? empty_pages_ + 1 : 0;
+    if (empty_pages_ > kMostEmptyPages) {
+      return absl::InternalError(absl::StrCat(
+          "the server's list does not go on: ", empty_pages_,
+          " empty pages follow each other, and each names another"));
+    }
+    return true;
+  }
+
+  // The page that was read last.
+  const Page& page() const { return page_; }
+
+ private:
+  using Order =
+      std::decay_t<decltype(OrderOf(*std::declval<Items>()(
+                                        std::declval<const Page&>())
+                                         .begin()))>;
+
+  absl::Status Follow(Order order) {
+    if (last_.has_value() && order <= *last_) {
+      return absl::InternalError(
+          absl::StrCat("the server's list does not go on: ",
+                       Printable(absl::StrCat(order)), " comes after ",
+                       Printable(absl::StrCat(*last_))));
+    }
+    last_ = std::move(order);
+    return absl::OkStatus();
+  }
+
+  Request request_;
+  const List list_;
+  const Items items_;
+  Page page_;
+  std::optional<Order> last_;
+  int empty_pages_ = 0;
+  bool ended_ = false;
+};
+
 // Calls `visit(page)` for the pages of a list until it answers false or the
-// last page was visited. `list(request)` asks for a page, and `items(page)` are
-// what it holds. INTERNAL if the list does not go on in its order, as when the
-// server sends a page again, or consists of empty pages: it might never end.
+// last page was visited. Errors are those of PageReader and of `visit`.
 template <typename Request, typename List, typename Items, typename Visit>
 absl::Status VisitPages(Request request, const List& list, const Items& items,
                         const Visit& visit) {
-  using Order = std::decay_t<decltype(OrderOf(*items(*list(request)).begin()))>;
-  std::optional<Order> last;
-  int empty_pages = 0;
+  PageReader<Request, List, Items> reader(std::move(request), list, items);
   for (;;) {
-    const auto page = list(request);
-    if (!page.ok()) return page.status();
-    for (const auto& item : items(*page)) {
-      Order order = OrderOf(item);
-      if (last.has_value() && order <= *last) {
-        return absl::InternalError(
-            absl::StrCat("the server's list does not go on: ",
-                         Printable(absl::StrCat(order)), " comes after ",
-                         Printable(absl::StrCat(*last))));
-      }
-      last = std::move(order);
-    }
-    const absl::StatusOr<bool> goes_on = visit(*page);
+    const absl::StatusOr<bool> found = reader.Next();
+    if (!found.ok()) return found.status();
+    if (!*found) return absl::OkStatus();
+    const absl::StatusOr<bool> goes_on = visit(reader.page());
     if (!goes_on.ok()) return goes_on.status();
-    if (!*goes_on || page->next_page_token().empty()) return absl::OkStatus();
-    empty_pages = items(*page).empty() ? empty_pages + 1 : 0;
-    if (empty_pages > kMostEmptyPages) {
-      return absl::InternalError(absl::StrCat(
-          "the server's list does not go on: ", empty_pages,
-          " empty pages follow each other, and each names another"));
-    }
-    request.set_page_token(page->next_page_token());
+    if (!*goes_on) return absl::OkStatus();
   }
 }
 

@@ -27,28 +27,30 @@ G2oWriter::G2oWriter(const v1::VehicleSettings& settings,
   }
 }
 
-void G2oWriter::Add(const LocalPose& pose) {
+void G2oWriter::Add(const LocalPose& pose, const LocalPose& as_sent) {
   ++counts_.poses;
   WriteVertex(pose);
-  if (last_) {
-    if (pose.sequence != last_->sequence + 1) {
-      // The way there was dropped, and with it what the errors share.
-      v1::VehicleSettings unrelated = settings_;
-      unrelated.set_correlation_model(v1::CORRELATION_MODEL_INDEPENDENT);
-      ++counts_.gaps;
-      WriteEdge(StepBetween(*last_, pose, unrelated).relative, *last_, pose);
-    } else if (IsJump(*last_, pose)) {
-      ++counts_.jumps;
-      WriteEdge(JumpBetween(*last_, pose), *last_, pose);
-    } else {
-      const Step step = StepBetween(*last_, pose, settings_);
-      if (step.raised) ++counts_.raised;
-      WriteEdge(step.relative, *last_, pose);
-    }
-  }
-  last_ = pose;
+  if (last_) WriteStep(*last_, as_sent);
+  last_ = as_sent;
   const auto closed = closed_.find(pose.sequence);
   if (closed != closed_.end()) closed->second = pose;
+}
+
+void G2oWriter::WriteStep(const LocalPose& from, const LocalPose& to) {
+  if (to.sequence != from.sequence + 1) {
+    // The way there was dropped, and with it what the errors share.
+    v1::VehicleSettings unrelated = settings_;
+    unrelated.set_correlation_model(v1::CORRELATION_MODEL_INDEPENDENT);
+    ++counts_.gaps;
+    WriteEdge(StepBetween(from, to, unrelated).relative, from, to);
+  } else if (IsJump(from, to)) {
+    ++counts_.jumps;
+    WriteEdge(JumpBetween(from, to), from, to);
+  } else {
+    const Step step = StepBetween(from, to, settings_);
+    if (step.raised) ++counts_.raised;
+    WriteEdge(step.relative, from, to);
+  }
 }
 
 void G2oWriter::AddClosures() {

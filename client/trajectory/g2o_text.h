@@ -26,8 +26,10 @@ class G2oWriter {
   G2oWriter(const v1::VehicleSettings& settings,
             const std::vector<v1::LoopClosure>& closures, std::ostream* out);
 
-  // Writes the next pose and, behind it, the edge that leads to it.
-  void Add(const LocalPose& pose);
+  // Writes the next pose and, behind it, the edge that leads to it: the step
+  // between the two poses as they were sent, which is what was measured, with
+  // the uncertainty that it was sent with. `as_sent` is the same pose.
+  void Add(const LocalPose& pose, const LocalPose& as_sent);
 
   // Writes an edge for each closure, from the matched pose to the query pose.
   // REQUIRES: their poses were added.
@@ -48,6 +50,8 @@ class G2oWriter {
 
  private:
   void WriteVertex(const LocalPose& pose);
+  // `from` and `to` as they were sent.
+  void WriteStep(const LocalPose& from, const LocalPose& to);
   void WriteEdge(const RelativePose& relative, const LocalPose& from,
                  const LocalPose& to);
   bool IsJump(const LocalPose& from, const LocalPose& to) const;
@@ -58,6 +62,7 @@ class G2oWriter {
   std::ostream& out_;
   // The poses of the closures, once they were added.
   std::map<std::uint64_t, LocalPose> closed_;
+  // The last pose, as it was sent.
   std::optional<LocalPose> last_;
   Counts counts_;
 };

@@ -1,30 +1,96 @@
 #include "client/trajectory/stored_poses.h"
 
+#include <algorithm>
+
+#include "absl/strings/str_cat.h"
 #include "client/answers/pages.h"
 
 namespace revisit::client {
 
+namespace {
+
+// The poses of one view, one after the other.
+class PoseReader {
+ public:
+  PoseReader(const Client& client, const std::string& vehicle,
+             v1::PoseView view)
+      : pages_(RequestFor(vehicle, view),
+               [&client](const v1::ListPosesRequest& asked) {
+                 return client.ListPoses(asked);
+               },
+               [](const v1::ListPosesResponse& page) -> const auto& {
+                 return page.poses();
+               }) {}
+
+  // The next pose, valid until the next call; null after the last one.
+  absl::StatusOr<const v1::Pose*> Next() {
+    while (next_ == pages_.page().poses_size()) {
+      const absl::StatusOr<bool> found = pages_.Next();
+      if (!found.ok()) return found.status();
+      if (!*found) return nullptr;
+      next_ = 0;
+    }
+    return &pages_.page().poses(next_++);
+  }
+
+ private:
+  using List = std::function<absl::StatusOr<v1::ListPosesResponse>(
+      const v1::ListPosesRequest&)>;
+  using Items =
+      std::function<const google::protobuf::RepeatedPtrField<v1::Pose>&(
+          const v1::ListPosesResponse&)>;
+
+  static v1::ListPosesRequest RequestFor(const std::string& vehicle,
+                                         v1::PoseView view) {
+    constexpr int kPagePoses = 10'000;
+    v1::ListPosesRequest request;
+    request.set_parent(vehicle);
+    request.set_page_size(kPagePoses);
+    request.set_view(view);
+    return request;
+  }
+
+  PageReader<v1::ListPosesRequest, List, Items> pages_;
+  int next_ = 0;
+};
+
+}  // namespace
+
 absl::Status VisitPoses(
-    const Client& client, const std::string& vehicle,
+    const Client& client, const std::string& vehicle, v1::PoseView view,
     const std::function<absl::Status(const v1::Pose&)>& visit) {
-  constexpr int kPagePoses = 10'000;
-  v1::ListPosesRequest request;
-  request.set_parent(vehicle);
-  request.set_page_size(kPagePoses);
-  return VisitPages(
-      request,
-      [&](const v1::ListPosesRequest& asked) {
-        return client.ListPoses(asked);
-      },
-      [](const v1::ListPosesResponse& page) -> const auto& {
-        return page.poses();
-      },
-      [&](const v1::ListPosesResponse& page) -> absl::StatusOr<bool> {
-        for (const v1::Pose& pose : page.poses()) {
-          if (absl::Status status = visit(pose); !status.ok()) return status;
-        }
-        return true;
-      });
+  PoseReader reader(client, vehicle, view);
+  for (;;) {
+    const absl::StatusOr<const v1::Pose*> pose = reader.Next();
+    if (!pose.ok()) return pose.status();
+    if (*pose == nullptr) return absl::OkStatus();
+    if (absl::Status status = visit(**pose); !status.ok()) return status;
+  }
+}
+
+absl::Status VisitBothViews(
+    const Client& client, const std::string& vehicle,
+    const std::function<absl::Status(const v1::Pose& current,
+                                     const v1::Pose& as_sent)>& visit) {
+  PoseReader current(client, vehicle, v1::POSE_VIEW_CURRENT);
+  PoseReader as_sent(client, vehicle, v1::POSE_VIEW_AS_SENT);
+  for (;;) {
+    const absl::StatusOr<const v1::Pose*> pose = current.Next();
+    if (!pose.ok()) return pose.status();
+    const absl::StatusOr<const v1::Pose*> sent = as_sent.Next();
+    if (!sent.ok()) return sent.status();
+    // What was streamed since the last page of the other view is of no use.
+    if (*pose == nullptr || *sent == nullptr) return absl::OkStatus();
+    if ((*pose)->sequence() != (*sent)->sequence()) {
+      return absl::AbortedError(absl::StrCat(
+          vehicle, ": poses were dropped meanwhile, pose ",
+          std::min((*pose)->sequence(), (*sent)->sequence()),
+          " among them; try again"));
+    }
+    if (absl::Status status = visit(**pose, **sent); !status.ok()) {
+      return status;
+    }
+  }
 }
 
 absl::StatusOr<std::vector<v1::LoopClosure>> ReadLoopClosures(

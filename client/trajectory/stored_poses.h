@@ -11,6 +11,7 @@
 #include "client/revisit/client.h"
 #include "revisit/v1/geometry.pb.h"
 #include "revisit/v1/loop_closure.pb.h"
+#include "revisit/v1/pose_graph_service.pb.h"
 #include "revisit/v1/vehicle.pb.h"
 
 namespace revisit::client {
@@ -18,8 +19,15 @@ namespace revisit::client {
 // Calls `visit` for each pose, by sequence; a status but OK from it ends the
 // visits and is returned. `vehicle` is a resource name.
 absl::Status VisitPoses(
-    const Client& client, const std::string& vehicle,
+    const Client& client, const std::string& vehicle, v1::PoseView view,
     const std::function<absl::Status(const v1::Pose&)>& visit);
+
+// The same for each pose in both views. ABORTED if these have not got the same
+// poses, because the vehicle was changed meanwhile.
+absl::Status VisitBothViews(
+    const Client& client, const std::string& vehicle,
+    const std::function<absl::Status(const v1::Pose& current,
+                                     const v1::Pose& as_sent)>& visit);
 
 // All of them, by name. `vehicle` is a resource name.
 absl::StatusOr<std::vector<v1::LoopClosure>> ReadLoopClosures(

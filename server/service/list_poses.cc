@@ -10,6 +10,7 @@
 #include "core/drive/dropped_stretch.h"
 #include "google/protobuf/util/field_mask_util.h"
 #include "server/conversion/page_token.h"
+#include "server/fields/enums.h"
 #include "server/fields/field_violations.h"
 #include "server/fields/pose_fields.h"
 #include "server/records/batch_records.h"
@@ -70,12 +71,31 @@ absl::Status CheckReadMask(const google::protobuf::FieldMask& mask) {
   return violations.ToStatus();
 }
 
+constexpr EnumRow<v1::PoseView, BatchVersion> kViews[] = {
+    {v1::POSE_VIEW_CURRENT, BatchVersion::kCurrent},
+    {v1::POSE_VIEW_AS_SENT, BatchVersion::kAsSent}};
+
+absl::StatusOr<BatchVersion> VersionOf(v1::PoseView view) {
+  Violations violations;
+  BatchVersion version = BatchVersion::kCurrent;
+  DecodeEnum(kViews, view, kRequest.Field("view"), &version, &violations);
+  if (absl::Status status = violations.ToStatus(); !status.ok()) return status;
+  return version;
+}
+
+// The poses of this view of a vehicle, as page tokens name them.
+std::string ListOf(const v1::ListPosesRequest& request, BatchVersion version) {
+  return absl::StrCat(
+      version == BatchVersion::kAsSent ? "ListPoses as sent " : "ListPoses ",
+      request.parent());
+}
+
 // Fills a page with the poses from `first` on. Where they are damaged, a page
 // ends before the damage, and the next one begins with it: DATA_LOSS.
 absl::Status ReadPoses(Storage* storage, const VehicleView& view,
                        const Beginning& beginning, int page_size,
                        const google::protobuf::FieldMask& mask,
-                       const std::string& list,
+                       BatchVersion version, const std::string& list,
                        v1::ListPosesResponse* response) {
   if (beginning.sequence > view.durable_sequence) return view.damage;
   if (beginning.is_named) {
@@ -92,7 +112,7 @@ absl::Status ReadPoses(Storage* storage, const VehicleView& view,
   std::size_t bytes = 0;
   absl::Status parsed;
   const absl::Status read = storage->ReadBatches(
-      view.key, first, last, BatchVersion::kCurrent,
+      view.key, first, last, version,
       [&](const BatchRecord& batch) {
         parsed = VisitPoses(batch, [&](const PoseFields& stored) {
           if (stored.sequence < first) return true;
@@ -124,7 +144,9 @@ absl::Status ListPoses(const ServiceContext& service, const UnaryCallPtr& call,
   const auto session = SessionOf(service, request.parent(),
                                  kRequest.Field("parent"), call.get());
   if (!session.ok()) return session.status();
-  const std::string list = absl::StrCat("ListPoses ", request.parent());
+  const absl::StatusOr<BatchVersion> version = VersionOf(request.view());
+  if (!version.ok()) return version.status();
+  const std::string list = ListOf(request, *version);
   const absl::StatusOr<int> page_size =
       PageSize(request.page_size(), 1000, 10000);
   if (!page_size.ok()) return page_size.status();
@@ -139,7 +161,7 @@ absl::Status ListPoses(const ServiceContext& service, const UnaryCallPtr& call,
              request = &request](const VehicleView& view) {
         const absl::Status status =
             ReadPoses(storage, view, *first, *page_size, request->read_mask(),
-                      list, response);
+                      *version, list, response);
         const auto still_there = loaded.lock();
         if (absl::IsDataLoss(status) && still_there != nullptr) {
           still_there->LoadAnew();

@@ -437,6 +437,47 @@ def test_revised_poses_replace_the_old_ones_under_one_revision(stub, driven):
             0.001 * node.pose.x_meters ** 2, abs=0.01)
 
 
+def as_sent(stub, vehicle, **fields):
+    return list_poses(stub, vehicle, view=api.POSE_VIEW_AS_SENT, **fields)
+
+
+def test_poses_are_had_as_they_were_sent_however_often_they_are_revised(
+        stub, driven):
+    vehicle = driven()
+    for moved in (bent(1, 101), bent(31, 20)):
+        revise(stub, vehicle, moved)
+        assert as_bytes(as_sent(stub, vehicle)) == as_bytes(straight(101))
+    # Poses that come later are in both views as they are sent.
+    append(stub, vehicle, straight(10, first=102))
+    assert as_bytes(as_sent(stub, vehicle)) == as_bytes(straight(111))
+    assert (as_bytes(list_poses(stub, vehicle, first_sequence=100))
+            == as_bytes(bent(100, 2) + straight(10, first=102)))
+    assert (as_bytes(list_poses(stub, vehicle, view=api.POSE_VIEW_CURRENT))
+            == as_bytes(list_poses(stub, vehicle)))
+
+
+def test_page_token_is_good_for_its_own_view_only(stub, driven):
+    vehicle = driven()
+    revise(stub, vehicle, bent(1, 101))
+    page = stub.ListPoses(api.ListPosesRequest(
+        parent=vehicle, page_size=50, view=api.POSE_VIEW_AS_SENT))
+    with pytest.raises(grpc.RpcError) as raised:
+        stub.ListPoses(api.ListPosesRequest(
+            parent=vehicle, page_token=page.next_page_token))
+    failure = failure_of(raised.value)
+    assert failure.reason == "INVALID_PAGE_TOKEN"
+    rest = as_sent(stub, vehicle, page_token=page.next_page_token)
+    assert as_bytes(list(page.poses) + rest) == as_bytes(straight(101))
+
+
+def test_unknown_view_is_refused(stub, driven):
+    with pytest.raises(grpc.RpcError) as raised:
+        stub.ListPoses(api.ListPosesRequest(parent=driven(), view=7))
+    failure = failure_of(raised.value)
+    assert failure.code == grpc.StatusCode.INVALID_ARGUMENT
+    assert failure.fields == ["view"]
+
+
 def test_poses_not_named_keep_what_they_have(stub, driven):
     vehicle = driven()
     expected = straight(101)

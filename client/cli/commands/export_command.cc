@@ -93,33 +93,41 @@ absl::Status ExportGraph(const Client& client, const std::string& vehicle,
                                 });
 }
 
-// Calls `write` for each pose, in the vehicle's local frame. Notes a change of
-// the vehicle meanwhile: its pages are not of one moment.
-absl::Status ExportPoses(
-    const Client& client, const v1::Vehicle& vehicle, const Terminal& terminal,
-    const std::function<absl::Status(const LocalPose&)>& write) {
-  const LocalFrame frame(vehicle.settings());
-  Progress progress(terminal, vehicle.name(), vehicle.durable_sequence(),
-                    "poses");
-  const absl::Status read =
-      VisitPoses(client, vehicle.name(), [&](const v1::Pose& pose) {
-        progress.Update(pose.sequence());
-        return write(frame.Localize(pose));
-      });
-  if (!read.ok()) return read;
+// Notes a change of the vehicle since it was read: the pages of its poses are
+// not of one moment.
+absl::Status NoteChange(const Client& client, const v1::Vehicle& vehicle,
+                        Progress* progress) {
   const auto after = ReadVehicle(client, vehicle.name());
   if (!after.ok()) return after.status();
   if (after->revision() != vehicle.revision()) {
-    progress.Note(absl::StrCat(
+    progress->Note(absl::StrCat(
         "changed meanwhile, from revision ", vehicle.revision(), " to ",
         after->revision(), ": some poses may be from before, some from after"));
   }
   return absl::OkStatus();
 }
 
+// Calls `write` for each pose, in the vehicle's local frame.
+absl::Status ExportPoses(
+    const Client& client, const v1::Vehicle& vehicle, v1::PoseView view,
+    const Terminal& terminal,
+    const std::function<absl::Status(const LocalPose&)>& write) {
+  const LocalFrame frame(vehicle.settings());
+  Progress progress(terminal, vehicle.name(), vehicle.durable_sequence(),
+                    "poses");
+  const absl::Status read =
+      VisitPoses(client, vehicle.name(), view, [&](const v1::Pose& pose) {
+        progress.Update(pose.sequence());
+        return write(frame.Localize(pose));
+      });
+  if (!read.ok()) return read;
+  return NoteChange(client, vehicle, &progress);
+}
+
 absl::Status ExportTum(const Client& client, const v1::Vehicle& vehicle,
-                       const Terminal& terminal, std::ostream& out) {
-  return ExportPoses(client, vehicle, terminal, [&](const LocalPose& pose) {
+                       v1::PoseView view, const Terminal& terminal,
+                       std::ostream& out) {
+  const auto write = [&](const LocalPose& pose) {
     if (!pose.stamp.has_value()) {
       return LocalError(absl::FailedPreconditionError(absl::StrCat(
           vehicle.name(), ": pose ", pose.sequence,
@@ -128,23 +136,12 @@ absl::Status ExportTum(const Client& client, const v1::Vehicle& vehicle,
     }
     WriteTumLine(pose, out);
     return CheckOutput(out);
-  });
+  };
+  return ExportPoses(client, vehicle, view, terminal, write);
 }
 
-absl::Status ExportG2o(const Client& client, const v1::Vehicle& vehicle,
-                       const Terminal& terminal, std::ostream& out) {
-  // Closures first: their poses are then among those that are read.
-  const auto closures = ReadLoopClosures(client, vehicle.name());
-  if (!closures.ok()) return closures.status();
-  G2oWriter writer(vehicle.settings(), *closures, &out);
-  const absl::Status poses =
-      ExportPoses(client, vehicle, terminal, [&](const LocalPose& pose) {
-        writer.Add(pose);
-        return CheckOutput(out);
-      });
-  if (!poses.ok()) return poses;
-  writer.AddClosures();
-  const G2oWriter::Counts& counts = writer.counts();
+void TellCounts(const v1::Vehicle& vehicle, const G2oWriter::Counts& counts,
+                const Terminal& terminal) {
   const std::string name = Printable(vehicle.name());
   terminal.progress << name << ": revision " << vehicle.revision()
                     << ", poses: " << counts.poses
@@ -163,6 +160,31 @@ absl::Status ExportG2o(const Client& client, const v1::Vehicle& vehicle,
         << " poses grow by less than 1 mm or 0.1 mrad from the pose before; "
            "their edges have that much\n";
   }
+}
+
+absl::Status ExportG2o(const Client& client, const v1::Vehicle& vehicle,
+                       const Terminal& terminal, std::ostream& out) {
+  // Closures first: their poses are then among those that are read.
+  const auto closures = ReadLoopClosures(client, vehicle.name());
+  if (!closures.ok()) return closures.status();
+  G2oWriter writer(vehicle.settings(), *closures, &out);
+  const LocalFrame frame(vehicle.settings());
+  Progress progress(terminal, vehicle.name(), vehicle.durable_sequence(),
+                    "poses");
+  const absl::Status read = VisitBothViews(
+      client, vehicle.name(),
+      [&](const v1::Pose& current, const v1::Pose& as_sent) {
+        progress.Update(current.sequence());
+        writer.Add(frame.Localize(current), frame.Localize(as_sent));
+        return CheckOutput(out);
+      });
+  if (!read.ok()) return read;
+  if (absl::Status noted = NoteChange(client, vehicle, &progress);
+      !noted.ok()) {
+    return noted;
+  }
+  writer.AddClosures();
+  TellCounts(vehicle, writer.counts(), terminal);
   return CheckOutput(out);
 }
 
@@ -192,7 +214,7 @@ absl::Status Export(const Client& client, const ExportOptions& options,
   const auto vehicle = ReadVehicle(client, name);
   if (!vehicle.ok()) return vehicle.status();
   if (options.format == ExportFormat::kTum) {
-    return ExportTum(client, *vehicle, terminal, out);
+    return ExportTum(client, *vehicle, options.view, terminal, out);
   }
   if (options.format == ExportFormat::kG2o) {
     return ExportG2o(client, *vehicle, terminal, out);
@@ -201,14 +223,15 @@ absl::Status Export(const Client& client, const ExportOptions& options,
   const bool spatial =
       vehicle->settings().state_space() == v1::STATE_SPACE_SPATIAL;
   if (csv) WriteCsvHeader(out);
-  return ExportPoses(client, *vehicle, terminal, [&](const LocalPose& pose) {
+  const auto write = [&](const LocalPose& pose) {
     if (csv) {
       WriteCsvLine(pose, spatial, out);
     } else {
       WriteKittiLine(pose, out);
     }
     return CheckOutput(out);
-  });
+  };
+  return ExportPoses(client, *vehicle, options.view, terminal, write);
 }
 
 }  // namespace
@@ -216,9 +239,10 @@ absl::Status Export(const Client& client, const ExportOptions& options,
 void AddExportCommand(const Command& program) {
   const Command command = program.AddCommand(
       {"export", "Writes out a vehicle's poses or its pose graph.",
-       "The poses, as they were sent or last revised, in the local frame (that "
-       "of a geodetic\n"
-       "vehicle is East-North-Up at its origin):\n"
+       "The poses, as they were last revised or, with --view as-sent, as they "
+       "were sent, in the\n"
+       "local frame (that of a geodetic vehicle is East-North-Up at its "
+       "origin):\n"
        "  tum        t x y z qx qy qz qw, for evo and other viewers\n"
        "  kitti      twelve numbers, the body's axes being forward, left, up; "
        "no times\n"
@@ -229,10 +253,10 @@ void AddExportCommand(const Command& program) {
        "  g2o        for optimisers: VERTEX_SE2 or, for spatial vehicles, "
        "VERTEX_SE3:QUAT, whose\n"
        "             ids are sequences; an edge from each pose to the next "
-       "with "
-       "the uncertainty\n"
-       "             that the step adds; an edge for each loop closure, as "
-       "measured\n"
+       "as they were\n"
+       "             sent, with the uncertainty that the step adds; an edge for "
+       "each loop closure,\n"
+       "             as measured\n"
        "The graph of nodes, spaced evenly, on which searches are made:\n"
        "  jsonl      a JSON object a line: {\"vehicle\": ...}, then {\"node\": "
        "...} for each node,\n"
@@ -262,13 +286,19 @@ void AddExportCommand(const Command& program) {
   AddVehicleName(command, &options->vehicle);
   command.AddChoice("--format", formats, &options->format,
                     "What to write (jsonl)");
+  AddPoseView(command, &options->view);
   command.AddText("--output", "FILE", &options->output,
                   "File to write instead of standard output");
   const Check check = [command, options]() -> std::string {
-    return command.Given("--json") &&
-                   options->format != ExportFormat::kJsonLines
-               ? "--json: goes with --format jsonl only"
-               : "";
+    const ExportFormat format = options->format;
+    if (command.Given("--json") && format != ExportFormat::kJsonLines) {
+      return "--json: goes with --format jsonl only";
+    }
+    if (command.Given("--view") && format != ExportFormat::kTum &&
+        format != ExportFormat::kKitti && format != ExportFormat::kCsv) {
+      return "--view: goes with --format tum, kitti and csv only";
+    }
+    return "";
   };
   const Run run = [options](const Connection& server,
                             const Terminal& terminal) {

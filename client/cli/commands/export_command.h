@@ -8,6 +8,7 @@
 #include "client/cli/flags.h"
 #include "client/revisit/client.h"
 #include "client/terminal/terminal.h"
+#include "revisit/v1/pose_graph_service.pb.h"
 
 namespace revisit::client {
 
@@ -40,6 +41,8 @@ enum class ExportFormat {
 struct ExportOptions {
   std::string vehicle;
   ExportFormat format = ExportFormat::kJsonLines;
+  // Of kTum, kKitti and kCsv; a kG2o has both.
+  v1::PoseView view = v1::POSE_VIEW_CURRENT;
   // The export goes to the terminal if this is empty.
   std::string output;
 };

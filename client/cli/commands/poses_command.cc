@@ -92,7 +92,7 @@ void AddPosesCommand(const Command& program) {
   const Command poses =
       program.AddCommand({"poses", "Lists the stored poses.", "", ""});
   const Command list = poses.AddCommand(
-      {"list", "Lists a vehicle's poses, as they were sent or last revised.",
+      {"list", "Lists a vehicle's poses, as they were last revised or as they were sent.",
        "--json prints them whole, with covariances and quaternions.",
        "  revisit poses list shuttle-7\n"
        "  revisit poses list shuttle-7 --from 1000 --to 1010 --json"});
@@ -102,6 +102,7 @@ void AddPosesCommand(const Command& program) {
                       "Sequence of the first pose (1)");
   list.AddWholeNumber("--to", kSequences, &options->to,
                       "Sequence of the last pose (the newest)");
+  AddPoseView(list, &options->view);
   const Run run = [options](const Connection& server,
                             const Terminal& terminal) {
     return RunPosesList(server.client, *options, terminal);
@@ -120,6 +121,7 @@ absl::Status RunPosesList(const Client& client, const PosesListOptions& options,
   v1::ListPosesRequest request;
   request.set_parent(VehicleName(options.vehicle));
   request.set_first_sequence(options.from);
+  request.set_view(options.view);
   request.set_page_size(static_cast<std::int32_t>(
       std::min(kPage - 1, options.to - options.from) + 1));
   // Made for the first page, so that an error before it stands alone.

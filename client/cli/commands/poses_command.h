@@ -10,6 +10,7 @@
 #include "client/cli/flags.h"
 #include "client/revisit/client.h"
 #include "client/terminal/terminal.h"
+#include "revisit/v1/pose_graph_service.pb.h"
 
 namespace revisit::client {
 
@@ -21,6 +22,7 @@ struct PosesListOptions {
   // Both are listed.
   std::uint64_t from = 1;
   std::uint64_t to = std::numeric_limits<std::int64_t>::max();
+  v1::PoseView view = v1::POSE_VIEW_CURRENT;
 };
 
 // Lists stored poses page by page, in memory that does not grow with them. As

@@ -248,7 +248,7 @@ absl::Status RunRevise(const Client& client, const ReviseOptions& options,
                                          : vehicle->revision());
   std::uint64_t stored = 0;
   const absl::Status matched =
-      VisitPoses(client, vehicle->name(), [&](const v1::Pose& pose) {
+      VisitPoses(client, vehicle->name(), v1::POSE_VIEW_CURRENT, [&](const v1::Pose& pose) {
         ++stored;
         const auto found = optimised->Find(pose);
         if (!found.ok()) return found.status();

@@ -11,6 +11,14 @@ void AddVehicleName(const Command& command, std::string* vehicle) {
       .Required();
 }
 
+void AddPoseView(const Command& command, v1::PoseView* view) {
+  const Words views = {{"current", v1::POSE_VIEW_CURRENT},
+                       {"as-sent", v1::POSE_VIEW_AS_SENT}};
+  command.AddChoice("--view", views, view,
+                    "The poses as they were last revised (current), or as they "
+                    "were sent");
+}
+
 void AddUncertainty(const Command& command, UncertaintyOptions* options) {
   using Source = UncertaintyOptions::Source;
   const Words sources = {{"model", static_cast<int>(Source::kModel)},

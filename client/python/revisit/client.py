@@ -278,16 +278,21 @@ class Client:
                 vehicle_uid=vehicle_uid))
         return appended.ack
 
-    def list_poses(self, vehicle: str, first_sequence: int = 1) -> Iterator[v1.Pose]:
-        """Stored poses by sequence, as they were sent or last revised."""
+    def list_poses(self, vehicle: str, first_sequence: int = 1, *,
+                   as_sent: bool = False) -> Iterator[v1.Pose]:
+        """Stored poses by sequence, as they were last revised or as they were
+        sent."""
         request = v1.ListPosesRequest(
             parent=vehicle_name(vehicle), page_size=_POSES_PAGE,
-            first_sequence=first_sequence)
+            first_sequence=first_sequence,
+            view=(v1.POSE_VIEW_AS_SENT if as_sent else v1.POSE_VIEW_CURRENT))
         return self._pages("ListPoses", request, "poses", order="sequence")
 
-    def poses(self, vehicle: str, first_sequence: int = 1) -> Poses:
-        """Stored poses as arrays."""
-        return Poses.from_messages(self.list_poses(vehicle, first_sequence))
+    def poses(self, vehicle: str, first_sequence: int = 1, *,
+              as_sent: bool = False) -> Poses:
+        """Stored poses as arrays, as they were last revised or as they were sent."""
+        return Poses.from_messages(
+            self.list_poses(vehicle, first_sequence, as_sent=as_sent))
 
     def revise_poses(self, vehicle: str, poses: PosesLike,
                      expected_revision: int = 0) -> v1.RevisePosesResponse:

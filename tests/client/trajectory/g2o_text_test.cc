@@ -163,6 +163,34 @@ TEST(RelativePose, LevelSpatialEdgeIsThePlanarOne) {
   EXPECT_NEAR(m[20], 4.0, 1e-9);
 }
 
+// A pose that was never revised.
+void Add(const LocalPose& pose, G2oWriter* writer) { writer->Add(pose, pose); }
+
+TEST(G2oText, StepsAreThoseThatWereSentHoweverPosesWereRevised) {
+  const v1::VehicleSettings settings = G2oSettings(v1::STATE_SPACE_PLANAR);
+  const std::vector<v1::LoopClosure> none;
+  const LocalPose first = LevelPose(1, 0.0, 0.0, 0.0, {1.0, 1.0, 0.0, 0.25});
+  const LocalPose second =
+      LevelPose(2, 2.0, 0.0, 0.0, {1.5, 2.25, 0.0, 0.3125});
+  LocalPose revised = second;
+  revised.position = {2.5, -0.5, 0.0};
+  revised.heading = 0.25;
+  std::ostringstream before;
+  G2oWriter writer(settings, none, &before);
+  Add(first, &writer);
+  Add(second, &writer);
+  std::ostringstream after;
+  G2oWriter second_round(settings, none, &after);
+  Add(first, &second_round);
+  second_round.Add(revised, second);
+  const auto edge = [](const std::ostringstream& out) {
+    return out.str().substr(out.str().find("EDGE_SE2"));
+  };
+  EXPECT_EQ(edge(before), edge(after));
+  EXPECT_THAT(after.str(), ::testing::HasSubstr("VERTEX_SE2 2 2.5 -0.5 0.25"));
+  EXPECT_EQ(second_round.counts().raised, writer.counts().raised);
+}
+
 TEST(G2oText, VerticesAreSequencesAndClosuresLeadFromTheMatch) {
   v1::LoopClosure closure;
   closure.set_query_sequence(3);
@@ -178,10 +206,10 @@ TEST(G2oText, VerticesAreSequencesAndClosuresLeadFromTheMatch) {
   const v1::VehicleSettings settings = G2oSettings(v1::STATE_SPACE_PLANAR);
   std::ostringstream out;
   G2oWriter writer(settings, closures, &out);
-  writer.Add(LevelPose(1, 0.0, 0.0, 0.0, {1.0, 1.0, 0.0, 0.25}));
+  Add(LevelPose(1, 0.0, 0.0, 0.0, {1.0, 1.0, 0.0, 0.25}), &writer);
   // Nothing is known of a jump but its length.
-  writer.Add(LevelPose(2, 200.0, 0.0, 0.0, {1.25, 1.25, 0.0, 0.5}));
-  writer.Add(LevelPose(3, 200.0, 0.0, 0.0, {1.5, 1.5, 0.0, 0.75}));
+  Add(LevelPose(2, 200.0, 0.0, 0.0, {1.25, 1.25, 0.0, 0.5}), &writer);
+  Add(LevelPose(3, 200.0, 0.0, 0.0, {1.5, 1.5, 0.0, 0.75}), &writer);
   writer.AddClosures();
   EXPECT_EQ(writer.counts().poses, 3);
   EXPECT_EQ(writer.counts().jumps, 1);
@@ -212,9 +240,9 @@ TEST(G2oText, StepOverDroppedPosesIsAsUncertainAsBothEnds) {
     std::ostringstream out;
     const std::vector<v1::LoopClosure> none;
     G2oWriter writer(settings, none, &out);
-    writer.Add(LevelPose(1, 0.0, 0.0, 0.0, {1.0, 1.0, 0.0, 0.125}));
+    Add(LevelPose(1, 0.0, 0.0, 0.0, {1.0, 1.0, 0.0, 0.125}), &writer);
     // A lap later, at the same place.
-    writer.Add(LevelPose(400, 0.0, 0.0, 0.0, {1.0, 1.0, 0.0, 0.125}));
+    Add(LevelPose(400, 0.0, 0.0, 0.0, {1.0, 1.0, 0.0, 0.125}), &writer);
     EXPECT_EQ(writer.counts().jumps, 0);
     EXPECT_EQ(writer.counts().gaps, 1);
     std::istringstream edge(out.str().substr(out.str().find("EDGE_SE2")));
