@@ -6,6 +6,7 @@
 #include <iostream>
 #include <string>
 
+#include "client/cli/commands/convert_command.h"
 #include "client/cli/commands/demo_command.h"
 #include "client/cli/commands/evaluate_command.h"
 #include "client/cli/commands/export_command.h"
@@ -104,6 +105,7 @@ void AddCommands(const Command& program, const UsageSource& usage) {
   AddExportCommand(program);
   AddMapCommand(program);
   AddReviseCommand(program);
+  AddConvertCommand(program);
   AddEvaluateCommand(program);
   AddDemoCommand(program);
   AddInfoCommand(program);

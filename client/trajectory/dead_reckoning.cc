@@ -53,6 +53,12 @@ void Scale(double factor, ClaimedUncertainty* claim) {
 
 }  // namespace
 
+UncertaintyOptions::Source DefaultSource(const Sample& first, bool is_filter) {
+  return first.heading_variance.has_value() || is_filter
+             ? UncertaintyOptions::Source::kFixes
+             : UncertaintyOptions::Source::kModel;
+}
+
 UncertaintyClaims::UncertaintyClaims(const UncertaintyOptions& options,
                                      std::string name)
     : options_(options), name_(std::move(name)) {

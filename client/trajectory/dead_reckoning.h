@@ -54,6 +54,10 @@ struct UncertaintyOptions {
   double claimed_scale = 1.0;
 };
 
+// The source where nobody names one, by the first sample of a recording and
+// whether its vehicle takes error transitions.
+UncertaintyOptions::Source DefaultSource(const Sample& first, bool is_filter);
+
 struct ClaimedUncertainty {
   // xx, xy, xh, yy, yh, hh.
   std::array<double, 6> planar{};

@@ -211,9 +211,8 @@ absl::Status SampleSender::CheckThatSamplesFit(const Sample& first) const {
 
 void SampleSender::ChooseUncertainty(const Sample& first) {
   UncertaintyOptions uncertainty = options_.uncertainty;
-  if (!options_.uncertainty_given &&
-      (first.heading_variance.has_value() || IsFilter(vehicle_))) {
-    uncertainty.source = UncertaintyOptions::Source::kFixes;
+  if (!options_.uncertainty_given) {
+    uncertainty.source = DefaultSource(first, IsFilter(vehicle_));
   }
   claims_.emplace(uncertainty, file_);
   if (uncertainty.source == UncertaintyOptions::Source::kFixes &&
