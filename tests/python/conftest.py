@@ -2,6 +2,7 @@
 package as it was installed."""
 
 import itertools
+import os
 import pathlib
 import sys
 import threading
@@ -14,11 +15,14 @@ import revisit
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests/integration"))
 
-from revisit_server import Server, free_port  # noqa: E402
+from revisit_server import BIN, Server, free_port  # noqa: E402
 
 BOREAS = ROOT / "tests/data/boreas/boreas_glen_shields.csv"
 #: Longer than anything here takes on a busy machine, in seconds.
 LONG = 60.0
+
+
+os.environ.setdefault("REVISIT_PROGRAM", str(BIN / "revisit"))
 
 
 @pytest.fixture(scope="module")

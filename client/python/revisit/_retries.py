@@ -1,0 +1,60 @@
+"""The attempts of one call, however a client waits between them."""
+
+from __future__ import annotations
+
+import time
+from typing import Any, Optional
+
+from revisit.backoff import Backoff, BackoffOptions
+from revisit.channel import Caller, Metadata, owner_route
+from revisit.errors import (
+    Error, ResourceExhausted, Unavailable, is_cut, was_elsewhere)
+
+
+def _may_repeat(error: Error, is_safe: bool) -> bool:
+    if isinstance(error, ResourceExhausted):
+        # The server says that it did nothing, and when to send the same again.
+        return error.retry_delay is not None
+    return was_elsewhere(error) or (
+        is_safe and (isinstance(error, Unavailable) or is_cut(error)))
+
+
+class Attempts:
+    """Which attempt is the next, and whether there is one. Not thread-safe."""
+
+    def __init__(self, caller: Caller, backoff: BackoffOptions, max_attempts: int, *,
+                 is_safe: bool, seconds: float, request_id: Optional[str]) -> None:
+        """`is_safe`: doing it twice is the same as doing it once. `seconds` are for
+        all attempts and the waits between them."""
+        self._caller = caller
+        self._backoff = Backoff(backoff)
+        self._max_attempts = max_attempts
+        self._is_safe = is_safe
+        self._deadline = time.monotonic() + seconds
+        self._count = 1
+        self._route: Metadata = ()
+        #: The same for all attempts, once the first has begun.
+        self.request_id = request_id
+
+    def begin(self) -> dict[str, Any]:
+        """What gRPC is given with the next attempt."""
+        self.request_id, metadata = self._caller.metadata(self.request_id)
+        return {"timeout": max(self._deadline - time.monotonic(), 0.0),
+                "metadata": metadata + self._route}
+
+    def wait_after(self, error: Error) -> float:
+        """How many seconds to wait after an attempt that failed; raises the error if
+        there is no other attempt."""
+        if was_elsewhere(error):
+            # Until the deadline: after a server has died, others say so until its
+            # lease has run out.
+            self._count -= 1
+            self._backoff.reset()
+        if self._count >= self._max_attempts or not _may_repeat(error, self._is_safe):
+            raise error
+        wait = self._backoff.next(error.retry_delay)
+        if time.monotonic() + wait >= self._deadline:
+            raise error
+        self._count += 1
+        self._route = owner_route(error)
+        return wait
