@@ -20,8 +20,9 @@ HEADER = '"""Messages and enums of the API, generated from its protos."""\n'
 #: Messages whose fields are keywords of the client, and the names of their types.
 KEYWORDS = {"VehicleSettings": "SettingsKeywords",
             "CandidateOptions": "CandidateKeywords"}
-KEYWORDS_HEADER = '''"""Types of settings that are given as keywords, generated from the protos: the words
-of an enum in any letters, a message also as a mapping."""
+KEYWORDS_HEADER = '''\
+"""Types of settings that are given as keywords, generated from the protos: an enum is
+also the words of its values, a message also a mapping."""
 
 from __future__ import annotations
 

@@ -53,8 +53,9 @@ void Scale(double factor, ClaimedUncertainty* claim) {
 
 }  // namespace
 
-UncertaintyOptions::Source DefaultSource(const Sample& first, bool is_filter) {
-  return first.heading_variance.has_value() || is_filter
+UncertaintyOptions::Source DefaultSource(const std::deque<Sample>& first,
+                                         bool is_filter) {
+  return first.front().heading_variance.has_value() || is_filter
              ? UncertaintyOptions::Source::kFixes
              : UncertaintyOptions::Source::kModel;
 }

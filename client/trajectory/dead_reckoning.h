@@ -16,6 +16,7 @@
 #define REVISIT_CLIENT_TRAJECTORY_DEAD_RECKONING_H_
 
 #include <array>
+#include <deque>
 #include <optional>
 #include <string>
 #include <vector>
@@ -54,9 +55,10 @@ struct UncertaintyOptions {
   double claimed_scale = 1.0;
 };
 
-// The source where nobody names one, by the first sample of a recording and
-// whether its vehicle takes error transitions.
-UncertaintyOptions::Source DefaultSource(const Sample& first, bool is_filter);
+// The source where nobody names one, by the first samples of a recording and
+// whether its vehicle takes error transitions. REQUIRES: a sample.
+UncertaintyOptions::Source DefaultSource(const std::deque<Sample>& first,
+                                         bool is_filter);
 
 struct ClaimedUncertainty {
   // xx, xy, xh, yy, yh, hh.

@@ -52,8 +52,8 @@ def test_the_notebook_runs_on_a_server(server, client, monkeypatch):
 
 def blocks(path):
     """Lines of Python, and what they print or log where the document shows it."""
-    return re.findall(r"^```python\n(.*?)^```\n(?:\n```\n(.*?)^```\n)?", path.read_text(),
-                      re.DOTALL | re.MULTILINE)
+    return re.findall(r"^```python\n(.*?)^```\n(?:\n```\n(.*?)^```\n)?",
+                      path.read_text(), re.DOTALL | re.MULTILINE)
 
 
 @pytest.mark.parametrize("document", ["client/python/README.md", "docs/integrate.md"])

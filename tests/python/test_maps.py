@@ -54,6 +54,16 @@ def test_files_of_optimisers_and_viewers_are_written(client, driven, tmp_path):
         client.export(driven, tmp_path / "drive.doc")
 
 
+def test_the_program_reaches_the_server_of_the_client(client, driven, tmp_path,
+                                                      monkeypatch):
+    """Whatever its own variables say."""
+    monkeypatch.setenv("REVISIT_SERVER", "127.0.0.1:1")
+    monkeypatch.setenv("REVISIT_TLS_CA", str(tmp_path / "none"))
+    monkeypatch.setenv("REVISIT_TOKEN_FILE", str(tmp_path / "none"))
+    client.export(driven, tmp_path / "drive.kitti")
+    assert len((tmp_path / "drive.kitti").read_text().splitlines()) == 2076
+
+
 def test_an_export_that_fails_says_why(client, driven, tmp_path):
     with pytest.raises(revisit.NotFound) as caught:
         client.export("nobody", tmp_path / "a.g2o")

@@ -286,7 +286,8 @@ def test_what_an_earlier_life_knew_is_checked(client, new_vehicle):
     assert client.get_vehicle(vehicle).durable_sequence == 0
 
 
-def test_warnings_are_returned_and_each_kind_is_logged_once(client, new_vehicle, caplog):
+def test_warnings_are_returned_and_each_kind_is_logged_once(
+        client, new_vehicle, caplog):
     poses = straight(200)
     poses.heading[:] = 90.0
     with client.stream_poses(new_vehicle()) as stream:

@@ -1,6 +1,7 @@
-"""Recordings are read by the program: the poses are those that it would stream, and what
-it finds wrong is raised."""
+"""Recordings are read by the program: the poses are those that it would stream, and
+what it finds wrong is raised."""
 
+import signal
 import stat
 import subprocess
 import sys
@@ -17,9 +18,9 @@ FORMATS = ROOT / "tests/data/formats"
 
 def streamed(server, client, vehicle, *arguments):
     """What the program's own stream has stored."""
-    subprocess.run([_program.find_program(), "stream", *map(str, arguments), "--vehicle",
-                    vehicle, "--create", "--server", server.address], check=True,
-                   capture_output=True)
+    subprocess.run([_program.find_program(), "stream", *map(str, arguments),
+                    "--vehicle", vehicle, "--create", "--server", server.address],
+                   check=True, capture_output=True)
     return as_bytes(client.list_poses(vehicle))
 
 
@@ -106,13 +107,23 @@ def test_poses_before_an_error_are_handed_out(tmp_path):
     assert read == list(range(1, 6001))
 
 
-def test_a_loop_that_is_left_early_ends_the_program(tmp_path):
+def test_a_loop_that_is_left_early_ends_the_program(tmp_path, monkeypatch):
+    started = []
+
+    class Noted(subprocess.Popen):
+        def __init__(self, *arguments, **fields):
+            super().__init__(*arguments, **fields)
+            started.append(self)
+
+    monkeypatch.setattr(subprocess, "Popen", Noted)
     path = tmp_path / "long.csv"
     path.write_text("t,x,y,yaw\n" + "".join(
         f"{n},{2 * n},0,0\n" for n in range(200_000)))
     for batch in revisit.iter_recording(path, columns="t=t,x=x,y=y,yaw=yaw"):
         assert len(batch) == 1000
         break
+    [program] = started
+    assert program.returncode == -signal.SIGKILL
 
 
 def test_the_program_is_found_in_the_documented_order(tmp_path, monkeypatch):

@@ -1,6 +1,8 @@
 #include "client/cli/commands/convert_command.h"
 
 #include <algorithm>
+#include <cstddef>
+#include <deque>
 #include <memory>
 #include <optional>
 #include <utility>
@@ -22,13 +24,15 @@ namespace {
 
 // Poses of one message of kMessages.
 constexpr int kBatchPoses = 1000;
+// Samples that are looked at before the first pose is written.
+constexpr std::size_t kMostHeld = 4096;
 
 // Takes one pose after the other.
 class PoseWriter {
  public:
   virtual ~PoseWriter() = default;
   virtual absl::Status Write(const v1::Pose& pose) = 0;
-  // Writes what has been gathered, at the end or before a wait for more.
+  // Writes what has been gathered.
   virtual void Flush() {}
 };
 
@@ -127,28 +131,20 @@ std::unique_ptr<PoseWriter> MakeWriter(const ConvertOptions& options,
   }
 }
 
-// Makes poses of the samples of one file after the other.
+// Makes poses of the samples of one file after the other. The first samples are
+// held until it is known what uncertainty is claimed.
 class Converter {
  public:
   Converter(const ConvertOptions& options, PoseWriter* writer,
             Progress* progress)
       : options_(options), writer_(*writer), progress_(*progress) {}
 
+  // Writes the poses of a file, also those before an error of it.
   absl::Status Convert(const std::string& file) {
-    if (claims_.has_value()) claims_->SetName(file);
-    ReaderOptions options = options_.reader;
-    options.before_wait = [this]() -> std::optional<std::chrono::milliseconds> {
-      writer_.Flush();
-      return std::nullopt;
-    };
-    const auto reader = OpenSamples(file, options);
-    if (!reader.ok()) return reader.status();
-    for (;;) {
-      const auto sample = (*reader)->Next();
-      if (!sample.ok()) return sample.status();
-      if (!sample->has_value()) return absl::OkStatus();
-      if (absl::Status taken = Take(file, **sample); !taken.ok()) return taken;
-    }
+    absl::Status read = Read(file);
+    absl::Status written = LetGo();
+    writer_.Flush();
+    return read.ok() ? written : read;
   }
 
   std::uint64_t poses() const { return poses_; }
@@ -158,21 +154,47 @@ class Converter {
     return options_.correlation_model == v1::CORRELATION_MODEL_FILTER;
   }
 
-  absl::Status Take(const std::string& file, const Sample& sample) {
-    if (!claims_.has_value()) {
-      UncertaintyOptions uncertainty = options_.uncertainty;
-      if (!options_.uncertainty_given) {
-        uncertainty.source = DefaultSource(sample, is_filter());
-      }
-      claims_.emplace(uncertainty, file);
+  absl::Status Read(const std::string& file) {
+    file_ = file;
+    if (claims_.has_value()) claims_->SetName(file);
+    const auto reader = OpenSamples(file, options_.reader);
+    if (!reader.ok()) return reader.status();
+    for (;;) {
+      const auto sample = (*reader)->Next();
+      if (!sample.ok()) return sample.status();
+      if (!sample->has_value()) return absl::OkStatus();
+      if (absl::Status taken = Take(**sample); !taken.ok()) return taken;
     }
+  }
+
+  absl::Status Take(const Sample& sample) {
+    if (claims_.has_value()) return Write(sample);
+    held_.push_back(sample);
+    return held_.size() < kMostHeld ? absl::OkStatus() : LetGo();
+  }
+
+  absl::Status LetGo() {
+    if (held_.empty()) return absl::OkStatus();
+    UncertaintyOptions uncertainty = options_.uncertainty;
+    if (!options_.uncertainty_given) {
+      uncertainty.source = DefaultSource(held_, is_filter());
+    }
+    claims_.emplace(uncertainty, file_);
+    absl::Status written;
+    for (; written.ok() && !held_.empty(); held_.pop_front()) {
+      written = Write(held_.front());
+    }
+    return written;
+  }
+
+  absl::Status Write(const Sample& sample) {
     const auto claim = claims_->Next(sample);
     if (!claim.ok()) return claim.status();
     v1::Pose pose = MakePose(sample, *claim, options_.state_space, ++poses_);
     if (is_filter() && poses_ > 1) {
       if (!sample.error_transition.has_value()) {
         return absl::InvalidArgumentError(absl::StrCat(
-            file, ":", sample.line,
+            file_, ":", sample.line,
             ": expected an error transition, as --correlation-model filter "
             "needs with every pose"));
       }
@@ -180,7 +202,7 @@ class Converter {
     }
     if (options_.format == ConvertFormat::kTum && !pose.has_stamp()) {
       return absl::FailedPreconditionError(absl::StrCat(
-          file, ":", sample.line,
+          file_, ":", sample.line,
           ": no time, and a line of TUM begins with one; --times and --rate "
           "state times, and the other formats need none"));
     }
@@ -191,6 +213,8 @@ class Converter {
   const ConvertOptions& options_;
   PoseWriter& writer_;
   Progress& progress_;
+  std::string file_;
+  std::deque<Sample> held_;
   std::optional<UncertaintyClaims> claims_;
   std::uint64_t poses_ = 0;
 };
@@ -289,9 +313,6 @@ absl::Status RunConvert(const ConvertOptions& options,
     Converter converter(options, writer.get(), &progress);
     for (const std::string& file : options.files) {
       absl::Status converted = converter.Convert(file);
-      // Before an error of the file is told, so that all of the poses before it
-      // have been written to a pipe.
-      writer->Flush();
       if (!converted.ok()) return LocalError(converted);
     }
     if (converter.poses() == 0) {

@@ -209,10 +209,10 @@ absl::Status SampleSender::CheckThatSamplesFit(const Sample& first) const {
   return absl::OkStatus();
 }
 
-void SampleSender::ChooseUncertainty(const Sample& first) {
+void SampleSender::ChooseUncertainty() {
   UncertaintyOptions uncertainty = options_.uncertainty;
   if (!options_.uncertainty_given) {
-    uncertainty.source = DefaultSource(first, IsFilter(vehicle_));
+    uncertainty.source = DefaultSource(held_, IsFilter(vehicle_));
   }
   claims_.emplace(uncertainty, file_);
   if (uncertainty.source == UncertaintyOptions::Source::kFixes &&
@@ -279,7 +279,7 @@ absl::Status SampleSender::Open() {
   if (absl::Status status = CheckThatSamplesFit(first); !status.ok()) {
     return status;
   }
-  ChooseUncertainty(first);
+  ChooseUncertainty();
   stream_ = std::make_unique<PoseStream>(channel_, vehicle_.name(),
                                          MakeStreamOptions(options_, vehicle_),
                                          callbacks_);

@@ -69,7 +69,7 @@ class SampleSender {
   absl::Status WithDurableCount(const absl::Status& error) const;
   absl::StatusOr<v1::Vehicle> GetOrCreate(const Sample& first);
   absl::Status CheckThatSamplesFit(const Sample& first) const;
-  void ChooseUncertainty(const Sample& first);
+  void ChooseUncertainty();
   absl::Status ContinueClaims();
   // FAILED_PRECONDITION if other poses have the session's name.
   absl::Status CheckThatSessionIsFree() const;

@@ -51,7 +51,8 @@ def find_program() -> str:
     if found is None:
         raise FileNotFoundError(
             "the program revisit is needed, and is neither on PATH nor named by "
-            "REVISIT_PROGRAM: cmake --install or the Debian package of revisit brings it")
+            "REVISIT_PROGRAM: cmake --install or the Debian package of revisit brings "
+            "it")
     return found
 
 

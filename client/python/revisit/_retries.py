@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from typing import Any, Optional
 
+from revisit._calls import Call
 from revisit.backoff import Backoff, BackoffOptions
 from revisit.channel import Caller, Metadata, owner_route
 from revisit.errors import (
@@ -17,6 +19,31 @@ def _may_repeat(error: Error, is_safe: bool) -> bool:
         return error.retry_delay is not None
     return was_elsewhere(error) or (
         is_safe and (isinstance(error, Unavailable) or is_cut(error)))
+
+
+@dataclasses.dataclass(frozen=True)
+class CallOptions:
+    """How long and how often a client tries its calls."""
+
+    #: Seconds for a call with all its attempts and waits.
+    deadline: float
+    #: The same for exports and revisions.
+    bulk_deadline: float
+    #: The first one counts.
+    max_attempts: int
+    backoff: BackoffOptions
+
+    def __post_init__(self) -> None:
+        if self.max_attempts < 1:
+            raise ValueError(f"max_attempts is {self.max_attempts}: it is at least 1")
+
+    def attempts(self, caller: Caller, call: Call[Any], deadline: Optional[float],
+                 request_id: Optional[str]) -> Attempts:
+        """Those of one call; `deadline` counts before the client's own."""
+        if deadline is None:
+            deadline = self.bulk_deadline if call.is_bulk else self.deadline
+        return Attempts(caller, self.backoff, self.max_attempts, is_safe=call.is_safe,
+                        seconds=deadline, request_id=request_id)
 
 
 class Attempts:

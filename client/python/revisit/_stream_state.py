@@ -175,8 +175,8 @@ class StreamState:
     def check_keeps_candidates(self) -> None:
         if not self.keeps_candidates:
             raise FailedPrecondition(
-                "the stream keeps no candidates: StreamOptions.send_candidates asks for "
-                "them, and StreamCallbacks.candidates takes them")
+                "the stream keeps no candidates: StreamOptions.send_candidates asks "
+                "for them, and StreamCallbacks.candidates takes them")
 
     def needs_taker(self, here: str) -> FailedPrecondition:
         """The error of a wait that would be for ever, since `here` waits and nobody

@@ -12,9 +12,9 @@ def _off_course(warning: v1.Warning) -> str:
     try:
         turned = math.radians(float(warning.metadata["turned_degrees"]))
     except (KeyError, ValueError):
-        return ("heading is counter-clockwise from +x, in radians; a quaternion is x, y, "
-                "z, w, with the body's axes forward, left, up: poses.with_body() turns "
-                "others")
+        return ("heading is counter-clockwise from +x, in radians; a quaternion is x, "
+                "y, z, w, with the body's axes forward, left, up: poses.with_body() "
+                "turns others")
     return (f"poses.with_body(yaw={-turned:.4f}) turns them, if the vehicle drives "
             "forwards")
 
@@ -25,8 +25,8 @@ _ADVICE = {
         "give stamps in the order of the sequence, in one unit: datetime64, datetime, "
         "or seconds since 1970",
     v1.WARNING_REASON_IMPLAUSIBLE_SPEED:
-        "give positions in metres, and stamps as datetime64, datetime, or seconds since "
-        "1970",
+        "give positions in metres, and stamps as datetime64, datetime, or seconds "
+        "since 1970",
     v1.WARNING_REASON_POSITIONS_LIKE_DEGREES:
         'create the vehicle with coordinate_frame="geodetic" and make its poses by '
         "Poses.geodetic()",

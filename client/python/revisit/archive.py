@@ -62,7 +62,8 @@ def write(path: Union[str, os.PathLike[str]], client: Client, vehicle: str, *,
           before: Union[np.datetime64, datetime.datetime, None] = None) -> Archived:
     """Writes the poses of a vehicle as they are stored, from `first_sequence` up to
     `last_sequence` and up to the first pose whose stamp is not before `before` (a
-    datetime has a time zone, a datetime64 is UTC), then compares the file with the store, and gives it its name.
+    datetime has a time zone, a datetime64 is UTC), then compares the file with the
+    store, and gives it its name.
 
     Raises FileExistsError if there is such a file, and Mismatch if poses were revised
     meanwhile or the file does not read back the same."""

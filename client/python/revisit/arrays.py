@@ -44,8 +44,9 @@ def _multiplied(rotations: Float, turn: tuple[float, float, float, float]) -> Fl
     """The Hamilton product of quaternions (N, 4) with one on their right."""
     x, y, z, w = rotations.T
     a, b, c, d = turn
-    return np.column_stack([w * a + x * d + y * c - z * b, w * b - x * c + y * d + z * a,
-                            w * c + x * b - y * a + z * d, w * d - x * a - y * b - z * c])
+    return np.column_stack([
+        w * a + x * d + y * c - z * b, w * b - x * c + y * d + z * a,
+        w * c + x * b - y * a + z * d, w * d - x * a - y * b - z * c])
 
 
 def _vector(values: ArrayLike, name: str, rows: Optional[int] = None) -> Float:
@@ -92,9 +93,9 @@ def _stamp_of(value: object) -> np.datetime64:
 
 def to_datetimes(stamps: NDArray[np.datetime64]) -> list[Optional[datetime.datetime]]:
     """Datetimes with the time zone UTC, None for NaT."""
-    return [None if np.isnat(stamp) else
-            _EPOCH + datetime.timedelta(microseconds=int(stamp.astype(np.int64)) // 1000)
-            for stamp in stamps.astype("datetime64[ns]")]
+    nanoseconds = stamps.astype("datetime64[ns]").astype(np.int64).tolist()
+    return [None if absent else _EPOCH + datetime.timedelta(microseconds=count // 1000)
+            for count, absent in zip(nanoseconds, np.isnat(stamps).tolist())]
 
 
 def to_stamps(values: Optional[ArrayLike], rows: int) -> NDArray[np.datetime64]:

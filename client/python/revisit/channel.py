@@ -77,9 +77,9 @@ def _check_tls(options: ChannelOptions) -> None:
                                 os.fspath(options.tls_key), password="")
     except (ssl.SSLError, ValueError) as error:
         raise ValueError(
-            f"{os.fspath(options.tls_certificate)} and {os.fspath(options.tls_key)} are "
-            "no certificate and its own, unencrypted private key: "
-            f"{error}") from error
+            f"{os.fspath(options.tls_certificate)} and "
+            f"{os.fspath(options.tls_key)} are no certificate and its own, "
+            f"unencrypted private key: {error}") from error
 
 
 def _read(path: Optional[PathLike]) -> Optional[bytes]:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from revisit import _calls, maps, v1
 from revisit._calls import Call, Pages, vehicle_name
-from revisit._retries import Attempts
+from revisit._retries import CallOptions
 from revisit._stream_state import StreamState, log_warnings
 from revisit.arrays import Poses, PosesLike
 from revisit.backoff import BackoffOptions
@@ -64,15 +64,10 @@ class Client:
         in seconds for a call with all its attempts and waits, `bulk_deadline` that
         of exports and revisions; `max_attempts` counts the first attempt. Connects
         on first use."""
-        if max_attempts < 1:
-            raise ValueError(f"max_attempts is {max_attempts}: it is at least 1")
+        self._options = CallOptions(deadline, bulk_deadline, max_attempts, backoff)
         self._caller = Caller(token_file)
         self._channels = Channels(ChannelOptions(
             address, tls_authorities, tls_certificate, tls_key, token_file))
-        self._deadline = deadline
-        self._bulk_deadline = bulk_deadline
-        self._max_attempts = max_attempts
-        self._backoff = backoff
         self._streams: weakref.WeakSet[PoseStream] = weakref.WeakSet()
 
     def close(self) -> None:
@@ -103,11 +98,7 @@ class Client:
     def _run(self, call: Call[_T], deadline: Optional[float] = None,
              request_id: Optional[str] = None) -> _T:
         """Makes a call until it succeeds or must not be repeated."""
-        if deadline is None:
-            deadline = self._bulk_deadline if call.is_bulk else self._deadline
-        attempts = Attempts(self._caller, self._backoff, self._max_attempts,
-                            is_safe=call.is_safe, seconds=deadline,
-                            request_id=request_id)
+        attempts = self._options.attempts(self._caller, call, deadline, request_id)
         while True:
             arguments = attempts.begin()
             with self._channels.lease() as lease:

@@ -197,8 +197,9 @@ def candidate_table(answers: Iterable[v1.CandidateSet]) -> Table:
     `check` is the number of the answer, from 0. `rank`, `score`, `probability`,
     `odds_to_runner_up`, `meters_before` and `meters_after` of the place interval (NaN
     where absent), `verdict` ("ACCEPTED", "REJECTED_BY_SHAPE", ...) and `direction`
-    ("SAME", "OPPOSITE") as in candidate.proto. `query_...` and `matched_...` are the nodes: `index`,
-    `sequence`, `fraction`, `stamp`, `travelled`, `x`, `y`, `z`, `heading`.
+    ("SAME", "OPPOSITE") as in candidate.proto. `query_...` and `matched_...` are the
+    nodes: `index`, `sequence`, `fraction`, `stamp`, `travelled`, `x`, `y`, `z`,
+    `heading`.
     `difference_x`, `_y`, `_z`, `_heading`, `_covariance` say where a verifier
     should search. `gate_...` and `path_gate_...`: `squared_distance`,
     `degrees_of_freedom`, `threshold`, `p_value`, `verdict`; then `overlap` and

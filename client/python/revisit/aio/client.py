@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from revisit import _calls, client, maps, v1
 from revisit._calls import Call, Pages, vehicle_name
-from revisit._retries import Attempts
+from revisit._retries import CallOptions
 from revisit._stream_state import StreamState, log_warnings
 from revisit.aio._channels import AioChannels
 from revisit.aio.pose_stream import PoseStream, document
@@ -55,15 +55,10 @@ class Client:
                  bulk_deadline: float = 600.0, max_attempts: int = 6,
                  backoff: BackoffOptions = BackoffOptions()) -> None:
         """As for `revisit.Client`."""
-        if max_attempts < 1:
-            raise ValueError(f"max_attempts is {max_attempts}: it is at least 1")
+        self._options = CallOptions(deadline, bulk_deadline, max_attempts, backoff)
         self._caller = Caller(token_file)
         self._channels = AioChannels(ChannelOptions(
             address, tls_authorities, tls_certificate, tls_key, token_file))
-        self._deadline = deadline
-        self._bulk_deadline = bulk_deadline
-        self._max_attempts = max_attempts
-        self._backoff = backoff
         self._closed = False
         self._streams: weakref.WeakSet[PoseStream] = weakref.WeakSet()
 
@@ -91,11 +86,7 @@ class Client:
     async def _run(self, call: Call[_T], deadline: Optional[float] = None,
                    request_id: Optional[str] = None) -> _T:
         """Makes a call until it succeeds or must not be repeated."""
-        if deadline is None:
-            deadline = self._bulk_deadline if call.is_bulk else self._deadline
-        attempts = Attempts(self._caller, self._backoff, self._max_attempts,
-                            is_safe=call.is_safe, seconds=deadline,
-                            request_id=request_id)
+        attempts = self._options.attempts(self._caller, call, deadline, request_id)
         while True:
             arguments = attempts.begin()
             with self._channels.lease() as lease:
