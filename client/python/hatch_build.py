@@ -31,7 +31,7 @@ from typing import Any, Optional, TypedDict, Union
 
 from revisit import v1
 '''
-#: What fields of these types are given as.
+#: The types of Python in which fields of these types are given.
 NUMBERS = {"TYPE_DOUBLE": "float", "TYPE_INT32": "int", "TYPE_INT64": "int",
            "TYPE_UINT64": "int", "TYPE_BOOL": "bool", "TYPE_STRING": "str"}
 

@@ -132,7 +132,7 @@ async def test_nothing_is_lost_or_doubled_when_the_server_is_killed(restarted):
     acked, lost, resumed = [], [], []
 
     async def heard(ack):
-        # What a callback returns is awaited.
+        # The stream awaits a callback that can be awaited.
         await asyncio.sleep(0)
         acked.append(ack.durable_sequence)
 

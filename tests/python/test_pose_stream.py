@@ -315,7 +315,7 @@ def test_a_warning_that_comes_again_is_not_logged_again(caplog):
 
 
 class Bar:
-    """As much of tqdm as is used."""
+    """The part of tqdm that is used."""
 
     def __init__(self):
         self.done = 0

@@ -17,7 +17,7 @@ FORMATS = ROOT / "tests/data/formats"
 
 
 def streamed(server, client, vehicle, *arguments):
-    """What the program's own stream has stored."""
+    """The poses that the program's own stream has stored."""
     subprocess.run([_program.find_program(), "stream", *map(str, arguments),
                     "--vehicle", vehicle, "--create", "--server", server.address],
                    check=True, capture_output=True)

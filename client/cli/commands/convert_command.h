@@ -37,8 +37,8 @@ struct ConvertOptions {
   // `source` counts only where it was given; see DefaultSource().
   UncertaintyOptions uncertainty;
   bool uncertainty_given = false;
-  // Of the vehicle that the poses are for. With FILTER, poses have error
-  // transitions.
+  // The settings of the vehicle that the poses are for. With FILTER, poses have
+  // error transitions.
   v1::StateSpace state_space = v1::STATE_SPACE_PLANAR;
   v1::CorrelationModel correlation_model = v1::CORRELATION_MODEL_DEAD_RECKONING;
   ConvertFormat format = ConvertFormat::kCsv;

@@ -62,7 +62,7 @@ class Call(Generic[_T]):
     answers_stream: bool = False
 
     def start(self, stub: Any, arguments: dict[str, Any]) -> Any:
-        """What the stub returns: an answer, or gRPC's handle of the call."""
+        """Begins the call. Returns the answer, or gRPC's handle of the call."""
         request = self.request() if callable(self.request) else self.request
         return getattr(stub, self.method)(request, **arguments)
 
@@ -90,7 +90,7 @@ class Pages(Generic[_T]):
         return unary(self._method, self._request)
 
     def items(self, page: Any) -> Iterator[_T]:
-        """What is on a page. Internal if the list does not go on in its order, as
+        """The items of a page. Internal if the list does not go on in its order, as
         when the server sends a page again, or consists of empty pages: it might
         never end."""
         for item in getattr(page, self._field):

@@ -91,9 +91,9 @@ def running(arguments: Sequence[str]) -> Iterator[IO[bytes]]:
     early. Raises what it reports: ValueError for a wrong flag, FileNotFoundError,
     PermissionError or RecordingError for a file, `Error` for what a server
     answered."""
-    # Of the server, only what the arguments say counts.
+    # The arguments alone say which server is asked, and who asks.
     environment = {name: value for name, value in os.environ.items()
-                   if not name.startswith(("REVISIT_TLS_", "REVISIT_TOKEN_"))}
+                   if not name.startswith("REVISIT_")}
     with tempfile.TemporaryFile() as said, subprocess.Popen(
             [find_program(), *arguments], stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE, stderr=said, env=environment) as program:
@@ -145,7 +145,7 @@ def _fail(code: int, text: str) -> NoReturn:
 
 
 def _described(text: str) -> dict[str, Any]:
-    """What an error says: as JSON in the last line, or in words."""
+    """The parts of an error, which is JSON in the last line or in words."""
     last = text.splitlines()[-1] if text else ""
     if last.startswith("{"):
         with contextlib.suppress(ValueError, KeyError):

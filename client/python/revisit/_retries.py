@@ -39,7 +39,7 @@ class CallOptions:
 
     def attempts(self, caller: Caller, call: Call[Any], deadline: Optional[float],
                  request_id: Optional[str]) -> Attempts:
-        """Those of one call; `deadline` counts before the client's own."""
+        """The attempts of one call; `deadline` counts before the client's own."""
         if deadline is None:
             deadline = self.bulk_deadline if call.is_bulk else self.deadline
         return Attempts(caller, self.backoff, self.max_attempts, is_safe=call.is_safe,
@@ -64,7 +64,7 @@ class Attempts:
         self.request_id = request_id
 
     def begin(self) -> dict[str, Any]:
-        """What gRPC is given with the next attempt."""
+        """Begins the next attempt. Returns the arguments that gRPC gets with it."""
         self.request_id, metadata = self._caller.metadata(self.request_id)
         return {"timeout": max(self._deadline - time.monotonic(), 0.0),
                 "metadata": metadata + self._route}

@@ -1,4 +1,4 @@
-"""What a server's warnings about poses say to whoever wrote the program."""
+"""The texts of a server's warnings about poses, for whoever wrote the program."""
 
 from __future__ import annotations
 

@@ -111,7 +111,7 @@ class Client:
             time.sleep(attempts.wait_after(error))
 
     def _pages(self, pages: Pages[_T]) -> Iterator[_T]:
-        """What is on all pages of a list."""
+        """The items of all pages of a list."""
         while True:
             page = self._run(pages.call())
             yield from pages.items(page)

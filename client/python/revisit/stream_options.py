@@ -11,7 +11,7 @@ from revisit.errors import Error
 
 
 class ProgressBar(Protocol):
-    """What shows progress, such as `tqdm.tqdm(total=len(poses))`."""
+    """Something that shows progress, such as `tqdm.tqdm(total=len(poses))`."""
 
     def update(self, n: int, /) -> object:
         """So many more are done."""

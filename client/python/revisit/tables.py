@@ -243,9 +243,9 @@ class PoseGraph:
     """A vehicle's graph at one revision."""
 
     vehicle: v1.Vehicle
-    #: As `node_table()` makes it.
+    #: The columns are those of `node_table()`.
     nodes: Table
-    #: As `edge_table()` makes it.
+    #: The columns are those of `edge_table()`.
     edges: Table
 
     def plot(self, axes: Any = None) -> Any:

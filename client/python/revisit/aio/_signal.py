@@ -1,4 +1,4 @@
-"""What tasks of one event loop wait for."""
+"""A signal that tasks of one event loop wait for."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ class Client:
                  token_file: Optional[PathLike] = None, deadline: float = 30.0,
                  bulk_deadline: float = 600.0, max_attempts: int = 6,
                  backoff: BackoffOptions = BackoffOptions()) -> None:
-        """As for `revisit.Client`."""
+        """The arguments are those of `revisit.Client`."""
         self._options = CallOptions(deadline, bulk_deadline, max_attempts, backoff)
         self._caller = Caller(token_file)
         self._channels = AioChannels(ChannelOptions(
