@@ -50,7 +50,7 @@ std::optional<BodyAxes> ReadBodyAxes(std::string_view text);
 std::string Describe(const BodyAxes& body);
 
 struct Conventions {
-  // Those of the frame and, where `body` is absent, of the body.
+  // The axes of the frame and, where `body` is absent, of the body.
   Axes axes = Axes::kForwardLeftUp;
   std::optional<BodyAxes> body;
   // How far the body is turned to the left of the vehicle, in radians: what the
