@@ -25,7 +25,7 @@ absl::StatusOr<std::optional<GeodeticPosition>> OriginOf(
   return (*sample)->geodetic;
 }
 
-// What was left out of a drive, as lines of the report.
+// Adds lines to the report on the poses and positions that a drive lost.
 void NoteLeftOut(const Drive& drive, const WithoutTruth& without,
                  std::vector<std::string>* notes) {
   const auto trimmed = [&](std::size_t poses, double seconds,

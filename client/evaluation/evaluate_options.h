@@ -25,7 +25,7 @@ struct EvaluateOptions {
   // truth_file.h, and how to read it; if there are none, the files have it.
   std::vector<std::string> truth_files;
   ReaderOptions truth_reader;
-  // What the report has to say about the files: found out when they are read.
+  // Lines of the report about the files, found out when these are read.
   std::vector<std::string> file_notes;
   // Whether the files hold fixes of a receiver: found out when they are read.
   // Vehicles are then GEODETIC, their errors INDEPENDENT and claimed as the

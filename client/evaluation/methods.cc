@@ -67,7 +67,7 @@ std::vector<Method> AtEachScale(const std::vector<Method>& methods,
   return all;
 }
 
-// What is measured, one beside the other.
+// Adds notes on the methods that are measured one beside the other.
 void AddNotesOnMethods(const EvaluateOptions& options,
                        std::vector<std::string>* notes) {
   if (!options.sequence_lengths.empty()) {
@@ -92,7 +92,7 @@ void AddNotesOnMethods(const EvaluateOptions& options,
   }
 }
 
-// Errors that are drawn or added, and what is claimed of them.
+// Adds notes on errors that are drawn or added, and on the claims about them.
 void AddNotesOnErrors(const EvaluateOptions& options,
                       std::vector<std::string>* notes) {
   if (options.fix_noise.has_value()) {

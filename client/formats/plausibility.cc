@@ -47,36 +47,27 @@ std::vector<Reading> MakeReadings(const Conventions& given) {
     readings.push_back(std::move(reading));
   };
   add(given, "", "");
-  const auto axes = [&](Axes value, const char* flag, const char* words) {
-    if (given.axes == value) return;
-    Conventions other = given;
-    other.axes = value;
-    add(other, flag, words);
+  const auto other = [&](auto Conventions::*field, auto value, const char* flag,
+                         const char* words) {
+    if (given.*field == value) return;
+    Conventions conventions = given;
+    conventions.*field = value;
+    add(conventions, flag, words);
   };
-  const auto angles = [&](Angles value, const char* flag, const char* words) {
-    if (given.angles == value) return;
-    Conventions other = given;
-    other.angles = value;
-    add(other, flag, words);
-  };
-  const auto quaternion = [&](QuaternionOrder value, const char* flag,
-                              const char* words) {
-    if (given.quaternion == value) return;
-    Conventions other = given;
-    other.quaternion = value;
-    add(other, flag, words);
-  };
-  quaternion(QuaternionOrder::kXyzw, "--quaternion xyzw", "w last");
-  quaternion(QuaternionOrder::kWxyz, "--quaternion wxyz", "w first");
-  angles(Angles::kRadians, "--angles radians", "yaw in radians");
-  angles(Angles::kDegrees, "--angles degrees", "yaw in degrees");
-  angles(Angles::kCompassRadians, "--angles compass-radians",
-         "radians clockwise from north");
-  angles(Angles::kCompassDegrees, "--angles compass-degrees",
-         "degrees clockwise from north");
-  axes(Axes::kForwardLeftUp, "--axes flu", "x forward, y left, z up");
-  axes(Axes::kCamera, "--axes camera", "x right, y down, z forward");
-  axes(Axes::kNorthEastDown, "--axes ned", "x north, y east, z down");
+  const auto quaternion = &Conventions::quaternion;
+  const auto angles = &Conventions::angles;
+  const auto axes = &Conventions::axes;
+  other(quaternion, QuaternionOrder::kXyzw, "--quaternion xyzw", "w last");
+  other(quaternion, QuaternionOrder::kWxyz, "--quaternion wxyz", "w first");
+  other(angles, Angles::kRadians, "--angles radians", "yaw in radians");
+  other(angles, Angles::kDegrees, "--angles degrees", "yaw in degrees");
+  other(angles, Angles::kCompassRadians, "--angles compass-radians",
+        "radians clockwise from north");
+  other(angles, Angles::kCompassDegrees, "--angles compass-degrees",
+        "degrees clockwise from north");
+  other(axes, Axes::kForwardLeftUp, "--axes flu", "x forward, y left, z up");
+  other(axes, Axes::kCamera, "--axes camera", "x right, y down, z forward");
+  other(axes, Axes::kNorthEastDown, "--axes ned", "x north, y east, z down");
   return readings;
 }
 
@@ -231,7 +222,7 @@ std::string Plausibility::BestTurn(double* spread_degrees) const {
   return advice;
 }
 
-// What makes heading and course agree, as advice.
+// Advises the flags that make heading and course agree.
 std::string Plausibility::MendOf() const {
   if (readings_.size() == 1) {
     return "they agreed until here: the file's axes, units or order change";

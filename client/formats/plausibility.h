@@ -97,7 +97,7 @@ class Plausibility {
   absl::Status CheckKilometers();
   absl::Status CheckDegrees();
   absl::Status CheckEarthCentred();
-  // What positions and times show without any convention.
+  // Checks positions and times, which need no convention.
   absl::Status CheckPositions();
   // Adds what the sample adds to the counts below.
   void Count(const Sample& raw);

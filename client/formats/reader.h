@@ -23,7 +23,7 @@
 
 namespace revisit::client {
 
-// What a file has and no sample stands for.
+// Counts parts of a file for which no sample stands.
 struct LeftOut {
   // Positions without a heading at which the vehicle stood, or moved less than
   // course.h needs for one.
@@ -38,7 +38,7 @@ class SampleReader {
   // The next sample; nothing at the end. After an error or the end, further
   // calls have no meaning.
   virtual absl::StatusOr<std::optional<Sample>> Next() = 0;
-  // What was left out so far.
+  // The parts of the file that were left out so far.
   virtual LeftOut left_out() const { return {}; }
 };
 

@@ -144,6 +144,34 @@ WithoutTruth FindWithoutTruth(const std::vector<TruthPose>& truth,
   return without;
 }
 
+absl::Status CheckTimes(const std::vector<TruthPose>& truth,
+                        const Drive& drive) {
+  for (std::size_t i = 1; i < truth.size(); ++i) {
+    if (!(truth[i].time_nanoseconds > truth[i - 1].time_nanoseconds)) {
+      return TimesMustGrow(drive.name + ", truth");
+    }
+  }
+  for (std::size_t i = 1; i < drive.samples.size(); ++i) {
+    if (!(drive.samples[i].time_nanoseconds >
+          drive.samples[i - 1].time_nanoseconds)) {
+      return TimesMustGrow(drive.name);
+    }
+  }
+  return absl::OkStatus();
+}
+
+absl::Status TruthIsElsewhere(const std::vector<TruthPose>& truth,
+                              const Drive& drive, const WithoutTruth& without) {
+  return absl::InvalidArgumentError(
+      absl::StrCat(drive.name, ": ", without.poses_before + without.poses_after,
+                   " of ", drive.samples.size(), " poses, whose times are ",
+                   SecondsText(*drive.samples.front().time_nanoseconds), " to ",
+                   SecondsText(*drive.samples.back().time_nanoseconds),
+                   " s, lie outside the truth's times, ",
+                   SecondsText(*truth.front().time_nanoseconds), " to ",
+                   SecondsText(*truth.back().time_nanoseconds), " s"));
+}
+
 absl::Status AddByIndex(const std::vector<TruthPose>& truth, Drive* drive) {
   if (truth.size() != drive->samples.size()) {
     return absl::InvalidArgumentError(absl::StrCat(
@@ -238,27 +266,12 @@ absl::StatusOr<WithoutTruth> AddTruth(const std::vector<TruthPose>& truth,
     }
     return WithoutTruth();
   }
-  for (std::size_t i = 1; i < truth.size(); ++i) {
-    if (!(truth[i].time_nanoseconds > truth[i - 1].time_nanoseconds)) {
-      return TimesMustGrow(drive->name + ", truth");
-    }
-  }
-  for (std::size_t i = 1; i < samples.size(); ++i) {
-    if (!(samples[i].time_nanoseconds > samples[i - 1].time_nanoseconds)) {
-      return TimesMustGrow(drive->name);
-    }
+  if (absl::Status status = CheckTimes(truth, *drive); !status.ok()) {
+    return status;
   }
   const WithoutTruth without = FindWithoutTruth(truth, samples);
-  const std::size_t left = without.poses_before + without.poses_after;
-  if (2 * left > samples.size()) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(drive->name, ": ", left, " of ", samples.size(),
-                     " poses, whose times are ",
-                     SecondsText(*samples.front().time_nanoseconds), " to ",
-                     SecondsText(*samples.back().time_nanoseconds),
-                     " s, lie outside the truth's times, ",
-                     SecondsText(*truth.front().time_nanoseconds), " to ",
-                     SecondsText(*truth.back().time_nanoseconds), " s"));
+  if (2 * (without.poses_before + without.poses_after) > samples.size()) {
+    return TruthIsElsewhere(truth, *drive, without);
   }
   samples.erase(
       samples.end() - static_cast<std::ptrdiff_t>(without.poses_after),

@@ -24,6 +24,7 @@ class ReaderFlags {
     AddFormat();
     AddTimes();
     AddAxes();
+    AddFrame();
     AddAngles();
     group_.AddSwitch(
         Name("accept-suspicious"), &options_->accept_suspicious,
@@ -79,8 +80,6 @@ class ReaderFlags {
   }
 
   void AddAxes() const {
-    const Words frames = {{"local", Word(Frame::kLocal)},
-                          {"geodetic", Word(Frame::kGeodetic)}};
     const Words axes = {{"flu", Word(Axes::kForwardLeftUp)},
                         {"camera", Word(Axes::kCamera)},
                         {"ned", Word(Axes::kNorthEastDown)},
@@ -113,6 +112,11 @@ class ReaderFlags {
         Help("body-yaw",
              "How far the body (a sensor) is turned to the left of the "
              "vehicle"));
+  }
+
+  void AddFrame() const {
+    const Words frames = {{"local", Word(Frame::kLocal)},
+                          {"geodetic", Word(Frame::kGeodetic)}};
     group_.AddChoice(
         Name("frame"), frames, &options_->frame,
         Help("frame",
