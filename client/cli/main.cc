@@ -131,7 +131,9 @@ absl::Status RunChosen(const ParsedLine& line, const ChannelOptions& options,
   return line.run({options, *channel, Client(*channel)}, terminal);
 }
 
-void ReportError(const absl::Status& status, const GlobalFlags& flags) {
+void ReportError(const absl::Status& error, const GlobalFlags& flags) {
+  const std::string hint = ConnectionHint(error, flags.channel);
+  const absl::Status status = hint.empty() ? error : WithHint(error, hint);
   if (flags.json) {
     std::cerr << ErrorToJson(status) << '\n';
     return;
@@ -139,8 +141,6 @@ void ReportError(const absl::Status& status, const GlobalFlags& flags) {
   // A wrong usage needs no name of the program.
   std::cerr << (ExitCodeOf(status) == kExitUsage ? "" : "revisit: ")
             << ErrorText(status) << '\n';
-  const std::string hint = ConnectionHint(status, flags.channel);
-  if (!hint.empty()) std::cerr << hint << '\n';
 }
 
 // Also where the command line cannot be parsed.

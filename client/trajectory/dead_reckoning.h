@@ -36,7 +36,8 @@ struct UncertaintyOptions {
     kFile,
     // The file's covariances as they are: each pose is a fix of its own, or the
     // file has error transitions. Positions without a covariance have
-    // `fix_position`.
+    // `fix_position`, and headings that geodetic ones have beside them
+    // `start_heading`.
     kFixes,
   };
   Source source = Source::kModel;
@@ -86,6 +87,10 @@ class UncertaintyClaims {
   absl::StatusOr<ClaimedUncertainty> Next(const Sample& sample);
 
  private:
+  // The file and line of a sample, for messages.
+  std::string PlaceOf(const Sample& sample) const;
+  // The covariance that the file states, or that fixes without one have.
+  absl::StatusOr<std::array<double, 6>> StatedBy(const Sample& sample) const;
   absl::Status FromFile(const Sample& sample, ClaimedUncertainty* claim) const;
 
   const UncertaintyOptions options_;

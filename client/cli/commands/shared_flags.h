@@ -6,11 +6,15 @@
 
 #include "client/cli/flags.h"
 #include "client/trajectory/dead_reckoning.h"
+#include "revisit/v1/candidate.pb.h"
 
 namespace revisit::client {
 
 // The vehicle of a command: a bare word in its place, or --vehicle.
 void AddVehicleName(const Command& command, std::string* vehicle);
+
+// Which passes of a place candidates are looked for among.
+void AddDirection(const Command& command, v1::CandidateOptions* options);
 
 // The uncertainty that is claimed for the poses of a drive file.
 void AddUncertainty(const Command& command, UncertaintyOptions* options);
