@@ -1,5 +1,7 @@
 #include "client/cli/connection_hint.h"
 
+#include "absl/strings/str_cat.h"
+
 namespace revisit::client {
 
 std::string ConnectionHint(const absl::Status& status,
@@ -9,6 +11,10 @@ std::string ConnectionHint(const absl::Status& status,
     return status.message().find(words) != absl::string_view::npos;
   };
   if (!absl::IsUnavailable(status) || !says("failed to connect")) return "";
+  if (says("Connection refused")) {
+    return absl::StrCat("(is revisitd running at ", options.address,
+                        "? --server and REVISIT_SERVER name another address)");
+  }
   const bool closed = says("Socket closed") || says("reset by peer");
   if (options.tls_authorities_file.empty()) {
     return closed ? "(connected without TLS: does the server want it? see "

@@ -229,6 +229,22 @@ Flag Command::AddText(const std::string& name, const std::string& type,
                   ->group(heading_));
 }
 
+Flag Command::AddText(const std::string& name, const std::string& type,
+                      std::function<std::string(const std::string&)> read,
+                      const std::string& help) const {
+  const auto check = [read = std::move(read)](std::string& text) {
+    const std::string allowed = read(text);
+    return allowed.empty()
+               ? ""
+               : absl::StrCat("got \"", text, "\"; allowed is ", allowed);
+  };
+  const auto set = [](const std::string&) {};
+  return Flag(app_->add_option_function<std::string>(name, set, help)
+                  ->type_name(type)
+                  ->check(CLI::Validator(check, ""))
+                  ->group(heading_));
+}
+
 Flag Command::AddTexts(const std::string& name, const std::string& type,
                        std::vector<std::string>* values,
                        const std::string& help) const {

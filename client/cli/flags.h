@@ -129,6 +129,11 @@ class Command {
   Flag AddText(const std::string& name, const std::string& type,
                std::optional<std::string>* value,
                const std::string& help) const;
+  // Hands the text to `read`, which says what is allowed in its place, or
+  // nothing if it has taken it.
+  Flag AddText(const std::string& name, const std::string& type,
+               std::function<std::string(const std::string&)> read,
+               const std::string& help) const;
   Flag AddTexts(const std::string& name, const std::string& type,
                 std::vector<std::string>* values,
                 const std::string& help) const;

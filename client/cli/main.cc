@@ -6,6 +6,7 @@
 #include <iostream>
 #include <string>
 
+#include "client/cli/commands/convert_command.h"
 #include "client/cli/commands/demo_command.h"
 #include "client/cli/commands/evaluate_command.h"
 #include "client/cli/commands/export_command.h"
@@ -104,6 +105,7 @@ void AddCommands(const Command& program, const UsageSource& usage) {
   AddExportCommand(program);
   AddMapCommand(program);
   AddReviseCommand(program);
+  AddConvertCommand(program);
   AddEvaluateCommand(program);
   AddDemoCommand(program);
   AddInfoCommand(program);
@@ -129,7 +131,9 @@ absl::Status RunChosen(const ParsedLine& line, const ChannelOptions& options,
   return line.run({options, *channel, Client(*channel)}, terminal);
 }
 
-void ReportError(const absl::Status& status, const GlobalFlags& flags) {
+void ReportError(const absl::Status& error, const GlobalFlags& flags) {
+  const std::string hint = ConnectionHint(error, flags.channel);
+  const absl::Status status = hint.empty() ? error : WithHint(error, hint);
   if (flags.json) {
     std::cerr << ErrorToJson(status) << '\n';
     return;
@@ -137,8 +141,6 @@ void ReportError(const absl::Status& status, const GlobalFlags& flags) {
   // A wrong usage needs no name of the program.
   std::cerr << (ExitCodeOf(status) == kExitUsage ? "" : "revisit: ")
             << ErrorText(status) << '\n';
-  const std::string hint = ConnectionHint(status, flags.channel);
-  if (!hint.empty()) std::cerr << hint << '\n';
 }
 
 // Also where the command line cannot be parsed.

@@ -25,19 +25,49 @@ absl::StatusOr<std::optional<GeodeticPosition>> OriginOf(
   return (*sample)->geodetic;
 }
 
+// Adds lines to the report on the poses and positions that a drive lost.
+void NoteLeftOut(const Drive& drive, const WithoutTruth& without,
+                 std::vector<std::string>* notes) {
+  const auto trimmed = [&](std::size_t poses, double seconds,
+                           const char* where) {
+    if (poses == 0) return;
+    notes->push_back(absl::StrCat(drive.name, ": ", poses, " poses, ",
+                                  Fixed(seconds, 1), " s, ", where,
+                                  " are left out."));
+  };
+  trimmed(without.poses_before, without.seconds_before,
+          "before the truth begins");
+  trimmed(without.poses_after, without.seconds_after, "after the truth ends");
+  if (drive.left_out.standing > 0) {
+    notes->push_back(absl::StrCat(drive.name, ": ", drive.left_out.standing,
+                                  " positions at which the vehicle stood are "
+                                  "left out."));
+  }
+  if (drive.left_out.wrong_checksums > 0) {
+    notes->push_back(absl::StrCat(drive.name, ": ",
+                                  drive.left_out.wrong_checksums,
+                                  " sentences with a wrong checksum are left "
+                                  "out."));
+  }
+}
+
 absl::StatusOr<Drive> ReadOne(const EvaluateOptions& options, std::size_t i,
-                              const std::optional<GeodeticPosition>& origin) {
+                              const std::optional<GeodeticPosition>& origin,
+                              std::vector<std::string>* notes) {
   ReaderOptions reader = options.reader;
   reader.origin = origin;
   auto drive = ReadDriveFile(options.files[i], reader);
   if (!drive.ok()) return drive;
+  WithoutTruth without;
   if (!options.truth_files.empty()) {
-    const auto truth = ReadTruth(options.truth_files[i], origin);
+    const auto truth =
+        ReadTruth(options.truth_files[i], options.truth_reader, origin);
     if (!truth.ok()) return truth.status();
-    if (absl::Status status = AddTruth(*truth, &*drive); !status.ok()) {
-      return status;
-    }
+    const auto added = AddTruth(*truth, &*drive);
+    if (!added.ok()) return added.status();
+    without = *added;
   }
+  NoteLeftOut(*drive, without, notes);
   if (drive->truth.empty()) {
     return absl::InvalidArgumentError(
         absl::StrCat(options.files[i],
@@ -47,7 +77,8 @@ absl::StatusOr<Drive> ReadOne(const EvaluateOptions& options, std::size_t i,
   return drive;
 }
 
-absl::StatusOr<std::vector<Drive>> ReadDrives(const EvaluateOptions& options) {
+absl::StatusOr<std::vector<Drive>> ReadDrives(const EvaluateOptions& options,
+                                              std::vector<std::string>* notes) {
   std::vector<Drive> drives;
   std::optional<GeodeticPosition> origin;
   for (std::size_t i = 0; i < options.files.size(); ++i) {
@@ -56,7 +87,7 @@ absl::StatusOr<std::vector<Drive>> ReadDrives(const EvaluateOptions& options) {
       if (!first.ok()) return first.status();
       origin = *first;
     }
-    auto drive = ReadOne(options, i, origin);
+    auto drive = ReadOne(options, i, origin, notes);
     if (!drive.ok()) return drive.status();
     const auto& samples = drive->samples;
     if (!drives.empty() && samples.front().geodetic.has_value() !=
@@ -124,6 +155,23 @@ void Settle(const std::vector<Drive>& drives, EvaluateOptions* options) {
   }
 }
 
+// Says that the model is claimed where the files have claims of their own.
+void NoteUnusedCovariances(const std::vector<Drive>& drives,
+                           EvaluateOptions* options) {
+  const bool drawn = !options->seeds.empty() || options->fix_noise.has_value();
+  if (options->uncertainty_given || drawn ||
+      options->uncertainty.source != UncertaintyOptions::Source::kModel) {
+    return;
+  }
+  for (const Drive& drive : drives) {
+    if (!drive.samples.front().covariance.has_value()) continue;
+    options->file_notes.push_back(
+        "Claimed: errors of dead reckoning by the model; the covariances that "
+        "files have are claimed with --uncertainty file.");
+    return;
+  }
+}
+
 // Adds a drive as it is, or as it is drawn with each seed.
 void AddCases(const EvaluateOptions& options, Drive drive,
               std::vector<Case>* cases) {
@@ -146,10 +194,11 @@ void AddCases(const EvaluateOptions& options, Drive drive,
 }  // namespace
 
 absl::StatusOr<std::vector<Case>> ReadCases(EvaluateOptions* options) {
-  auto read = ReadDrives(*options);
+  auto read = ReadDrives(*options, &options->file_notes);
   if (!read.ok()) return LocalError(read.status());
   std::vector<Drive> drives = *std::move(read);
   Settle(drives, options);
+  NoteUnusedCovariances(drives, options);
   if (options->geodetic) {
     const char* const flag = !options->seeds.empty()          ? "--simulate"
                              : options->gyro_bias != 0.0      ? "--gyro-bias"

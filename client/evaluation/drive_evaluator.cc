@@ -25,6 +25,38 @@ constexpr std::size_t kBatchPoses = 64;
 // Attempts at streaming a drive whose connection breaks.
 constexpr int kAttempts = 3;
 
+absl::StatusOr<CandidateAnswer> MakeCandidate(const v1::Candidate& given) {
+  if (!v1::Verdict_IsValid(given.verdict()) ||
+      given.verdict() == v1::VERDICT_UNSPECIFIED) {
+    return absl::InternalError(
+        absl::StrCat("the server gave a candidate no verdict that this "
+                     "program knows: ",
+                     static_cast<int>(given.verdict())));
+  }
+  CandidateAnswer candidate;
+  candidate.matched = given.matched().index();
+  candidate.verdict = given.verdict();
+  const DecidingGate gate = DecidingGateOf(given);
+  candidate.path_gate = gate.whole_path;
+  candidate.squared_distance = gate.squared_distance;
+  candidate.threshold = gate.threshold;
+  candidate.p_value = gate.p_value;
+  candidate.opposite = given.direction() == v1::DIRECTION_OPPOSITE;
+  candidate.confidence = candidate.p_value;
+  if (given.has_probability()) {
+    const double probability = given.probability();
+    if (!(probability >= 0.0 && probability <= 1.0)) {
+      return absl::InternalError(absl::StrCat(
+          "the server stated a probability of ", std::to_string(probability)));
+    }
+    candidate.probability = probability;
+    candidate.confidence = probability;
+  }
+  candidate.meters_before = given.place_interval().meters_before();
+  candidate.meters_after = given.place_interval().meters_after();
+  return candidate;
+}
+
 absl::StatusOr<CheckAnswer> MakeAnswer(const v1::CandidateSet& set) {
   CheckAnswer answer;
   answer.query = set.query().index();
@@ -32,36 +64,9 @@ absl::StatusOr<CheckAnswer> MakeAnswer(const v1::CandidateSet& set) {
       1e3 * static_cast<double>(set.search_duration().seconds()) +
       1e-6 * static_cast<double>(set.search_duration().nanos());
   for (const v1::Candidate& given : set.candidates()) {
-    if (!v1::Verdict_IsValid(given.verdict()) ||
-        given.verdict() == v1::VERDICT_UNSPECIFIED) {
-      return absl::InternalError(
-          absl::StrCat("the server gave a candidate no verdict that this "
-                       "program knows: ",
-                       static_cast<int>(given.verdict())));
-    }
-    CandidateAnswer candidate;
-    candidate.matched = given.matched().index();
-    candidate.verdict = given.verdict();
-    const DecidingGate gate = DecidingGateOf(given);
-    candidate.path_gate = gate.whole_path;
-    candidate.squared_distance = gate.squared_distance;
-    candidate.threshold = gate.threshold;
-    candidate.p_value = gate.p_value;
-    candidate.opposite = given.direction() == v1::DIRECTION_OPPOSITE;
-    candidate.confidence = candidate.p_value;
-    if (given.has_probability()) {
-      const double probability = given.probability();
-      if (!(probability >= 0.0 && probability <= 1.0)) {
-        return absl::InternalError(
-            absl::StrCat("the server stated a probability of ",
-                         std::to_string(probability)));
-      }
-      candidate.probability = probability;
-      candidate.confidence = probability;
-    }
-    candidate.meters_before = given.place_interval().meters_before();
-    candidate.meters_after = given.place_interval().meters_after();
-    answer.candidates.push_back(candidate);
+    const auto candidate = MakeCandidate(given);
+    if (!candidate.ok()) return candidate.status();
+    answer.candidates.push_back(*candidate);
   }
   if (set.candidates().empty()) {
     answer.empty_reason = Explain(set.empty_reason());
@@ -155,8 +160,7 @@ class Evaluator {
     return end;
   }
 
-  // Streams these poses and waits for all answers.
-  absl::Status Stream(std::size_t begin, std::size_t end) {
+  PoseStreamOptions OptionsFrom(std::size_t begin) const {
     PoseStreamOptions options;
     options.batch_poses = static_cast<int>(kBatchPoses);
     options.send_candidates = true;
@@ -165,21 +169,24 @@ class Evaluator {
     options.candidate_options.set_exhaustive(run_.exhaustive);
     options.acked_sequence = begin;
     options.give_up_after = std::chrono::seconds(30);
-    // The first answer that made no sense. Written by callbacks, read when they
-    // are over.
-    absl::Status understood;
+    return options;
+  }
+
+  // Takes answers; `understood` becomes the error of the first that made no
+  // sense. It is written by callbacks, and to be read when they are over.
+  PoseStreamCallbacks Callbacks(absl::Status* understood) {
     PoseStreamCallbacks callbacks;
-    callbacks.ack = [&](const v1::Ack& ack) {
+    callbacks.ack = [this](const v1::Ack& ack) {
       progress_.Update(ack.durable_sequence());
       for (const v1::Jump& jump : ack.jumps()) {
         ++result_.tally.jumps;
         progress_.Note(JumpText(jump));
       }
     };
-    callbacks.candidates = [&](const v1::CandidateSet& set) {
+    callbacks.candidates = [this, understood](const v1::CandidateSet& set) {
       auto answer = MakeAnswer(set);
       if (!answer.ok()) {
-        understood.Update(answer.status());
+        understood->Update(answer.status());
         return;
       }
       if (run_.older_candidates.has_value()) {
@@ -189,11 +196,18 @@ class Evaluator {
       result_.answers.push_back(*std::move(answer));
       if (run_.verify) unverified_.push_back(set);
     };
-    callbacks.disconnected = [&](const absl::Status& status,
-                                 std::chrono::nanoseconds) {
+    callbacks.disconnected = [this](const absl::Status& status,
+                                    std::chrono::nanoseconds) {
       broken_ = status;
     };
-    PoseStream stream(channel_, vehicle_, options, callbacks);
+    return callbacks;
+  }
+
+  // Streams these poses and waits for all answers.
+  absl::Status Stream(std::size_t begin, std::size_t end) {
+    absl::Status understood;
+    PoseStream stream(channel_, vehicle_, OptionsFrom(begin),
+                      Callbacks(&understood));
     const auto durable = stream.WaitUntilOpened();
     if (!durable.ok()) return durable.status();
     if (*durable != begin) {

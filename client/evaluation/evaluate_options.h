@@ -22,8 +22,11 @@ struct EvaluateOptions {
   std::vector<std::string> files;
   ReaderOptions reader;
   // The truth of each file, in any format that is read or as
-  // truth_file.h; if there are none, the files have it.
+  // truth_file.h, and how to read it; if there are none, the files have it.
   std::vector<std::string> truth_files;
+  ReaderOptions truth_reader;
+  // Lines of the report about the files, found out when these are read.
+  std::vector<std::string> file_notes;
   // Whether the files hold fixes of a receiver: found out when they are read.
   // Vehicles are then GEODETIC, their errors INDEPENDENT and claimed as the
   // file states them, unless flags say otherwise. FILTER claims as the file

@@ -26,6 +26,61 @@ bool SameCandidate(const CandidateAnswer& a, const CandidateAnswer& b) {
          a.confidence == b.confidence;
 }
 
+// Whether is_place(node) for any node between which the place may lie.
+template <typename IsPlace>
+bool AnyInInterval(const std::vector<GraphNode>& nodes,
+                   const CandidateAnswer& candidate, const IsPlace& is_place) {
+  const auto travelled = [&nodes](std::int64_t node) {
+    return nodes[static_cast<std::size_t>(node)].travelled_meters;
+  };
+  const double at = travelled(candidate.matched);
+  const double least = at - candidate.meters_before - kRounding;
+  const double most = at + candidate.meters_after + kRounding;
+  for (std::int64_t i = candidate.matched; i >= 0 && travelled(i) >= least;
+       --i) {
+    if (is_place(i)) return true;
+  }
+  const auto end = static_cast<std::int64_t>(nodes.size());
+  for (std::int64_t i = candidate.matched; i < end && travelled(i) <= most;
+       ++i) {
+    if (is_place(i)) return true;
+  }
+  return false;
+}
+
+// Counts the candidates of any rank that somebody would have to verify.
+void CountVerification(const JudgedCheck& check, Tally* tally) {
+  bool found = false;
+  bool seen = false;
+  for (std::size_t i = 0; i < check.correct.size(); ++i) {
+    if (check.answer.candidates[i].verdict != v1::VERDICT_ACCEPTED) continue;
+    ++tally->to_verify;
+    tally->looks += LooksAt(check.answer.candidates[i]);
+    found = found || check.correct[i];
+    seen = seen || check.holds[i];
+  }
+  if (found) ++tally->loops_found;
+  if (seen) ++tally->loops_seen;
+}
+
+// Counts the confidence and the probability that are stated of the first
+// candidate, or of there being none.
+void CountStatements(const JudgedCheck& check, Tally* tally) {
+  if (check.correct.empty()) {
+    // The best that was left out.
+    if (check.answer.none_probable)
+      tally->probabilities.push_back({0.0, false});
+    return;
+  }
+  const CandidateAnswer& first = check.answer.candidates[0];
+  tally->confidences.push_back({first.confidence, check.top_correct()});
+  if (!first.probability.has_value()) return;
+  tally->probabilities.push_back({*first.probability, check.top_correct()});
+  if (*first.probability >= kSure && check.top_correct()) {
+    ++tally->sure_correct;
+  }
+}
+
 }  // namespace
 
 std::int64_t LooksAt(const CandidateAnswer& candidate) {
@@ -167,32 +222,6 @@ bool SamePlace(const PlanarPose& a, const PlanarPose& b, bool opposite,
          std::abs(std::remainder(turn, kTurn)) <= judging.loop_heading_radians;
 }
 
-namespace {
-
-// Whether is_place(node) for any node between which the place may lie.
-template <typename IsPlace>
-bool AnyInInterval(const std::vector<GraphNode>& nodes,
-                   const CandidateAnswer& candidate, const IsPlace& is_place) {
-  const auto travelled = [&nodes](std::int64_t node) {
-    return nodes[static_cast<std::size_t>(node)].travelled_meters;
-  };
-  const double at = travelled(candidate.matched);
-  const double least = at - candidate.meters_before - kRounding;
-  const double most = at + candidate.meters_after + kRounding;
-  for (std::int64_t i = candidate.matched; i >= 0 && travelled(i) >= least;
-       --i) {
-    if (is_place(i)) return true;
-  }
-  const auto end = static_cast<std::int64_t>(nodes.size());
-  for (std::int64_t i = candidate.matched; i < end && travelled(i) <= most;
-       ++i) {
-    if (is_place(i)) return true;
-  }
-  return false;
-}
-
-}  // namespace
-
 std::vector<JudgedCheck> Judge(const std::vector<GraphNode>& nodes,
                                const std::vector<PlanarPose>& truth_at_nodes,
                                const std::vector<CheckAnswer>& answers,
@@ -246,31 +275,8 @@ Tally Count(const std::vector<JudgedCheck>& checks) {
       ++tally.top5_correct;
     }
     if (check.accepted() && check.holds[0]) ++tally.accepted_holding;
-    bool found = false;
-    bool seen = false;
-    for (std::size_t i = 0; i < check.correct.size(); ++i) {
-      if (check.answer.candidates[i].verdict != v1::VERDICT_ACCEPTED) continue;
-      ++tally.to_verify;
-      tally.looks += LooksAt(check.answer.candidates[i]);
-      found = found || check.correct[i];
-      seen = seen || check.holds[i];
-    }
-    if (found) ++tally.loops_found;
-    if (seen) ++tally.loops_seen;
-    if (!check.correct.empty()) {
-      const CandidateAnswer& first = check.answer.candidates[0];
-      tally.confidences.push_back({first.confidence, check.top_correct()});
-      if (first.probability.has_value()) {
-        tally.probabilities.push_back(
-            {*first.probability, check.top_correct()});
-        if (*first.probability >= kSure && check.top_correct()) {
-          ++tally.sure_correct;
-        }
-      }
-    } else if (check.answer.none_probable) {
-      // The best that was left out.
-      tally.probabilities.push_back({0.0, false});
-    }
+    CountVerification(check, &tally);
+    CountStatements(check, &tally);
     if (check.answer.search_milliseconds.has_value()) {
       tally.search_milliseconds.push_back(*check.answer.search_milliseconds);
     }

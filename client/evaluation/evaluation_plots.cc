@@ -67,6 +67,53 @@ std::string Dashes(const Style& style) {
              : "stroke-dasharray=\"" + std::string(style.dashes) + "\"";
 }
 
+constexpr char kBar[] = "#0072b2";
+
+using Bins = std::array<ReliabilityBin, kReliabilityBins>;
+
+std::string Bars(const Bins& bins) {
+  std::string svg;
+  for (const ReliabilityBin& bin : bins) {
+    if (bin.count == 0) continue;
+    const double top = Y(bin.share_correct);
+    svg += "<rect x=\"" + SvgNumber(X(bin.low) + 1.5) + "\" y=\"" +
+           SvgNumber(top) + "\" width=\"" +
+           SvgNumber(kSide * (bin.high - bin.low) - 3.0) + "\" height=\"" +
+           SvgNumber(Y(0.0) - top) + "\" fill=\"" + kBar +
+           "\" fill-opacity=\"0.28\" stroke=\"" + kBar + "\"/>\n";
+  }
+  return svg;
+}
+
+// Dots at the mean statements, and how many candidates each bin has.
+std::string Dots(const Bins& bins) {
+  std::string svg;
+  for (const ReliabilityBin& bin : bins) {
+    if (bin.count == 0) continue;
+    svg += SvgCircle(X(bin.mean_stated), Y(bin.share_correct), 4.5, kBar,
+                     "#ffffff", 1.5);
+    svg += SvgText(X(0.5 * (bin.low + bin.high)), Y(0.0) - 9.0,
+                   absl::StrCat(bin.count), kInk, "middle",
+                   "stroke=\"#ffffff\" stroke-width=\"4\" "
+                   "stroke-linejoin=\"round\" paint-order=\"stroke\"");
+  }
+  return svg;
+}
+
+std::string ErrorText(std::optional<double> expected_calibration_error,
+                      std::optional<double> positive_error) {
+  std::string error = "No probability was stated.";
+  if (expected_calibration_error.has_value()) {
+    error =
+        "Expected calibration error " + Fixed(*expected_calibration_error, 3);
+    if (positive_error.has_value()) {
+      error += ", where stated at 0.1 or more " + Fixed(*positive_error, 3);
+    }
+    error += ". Numbers: candidates of each bin.";
+  }
+  return error;
+}
+
 }  // namespace
 
 std::string DrawPrecisionRecall(const std::string& subtitle,
@@ -115,42 +162,18 @@ std::string DrawReliability(
     const std::array<ReliabilityBin, kReliabilityBins>& bins,
     std::optional<double> expected_calibration_error,
     std::optional<double> positive_error) {
-  constexpr char kBar[] = "#0072b2";
   std::string svg =
       PlotFrame("Reliability of stated probabilities", subtitle,
                 kPlotTop + kSide + kBelow + 2.0 * kLegendRow + 10.0,
                 "probability stated for the first candidate",
                 "share of these candidates that are right");
-  for (const ReliabilityBin& bin : bins) {
-    if (bin.count == 0) continue;
-    const double top = Y(bin.share_correct);
-    svg += "<rect x=\"" + SvgNumber(X(bin.low) + 1.5) + "\" y=\"" +
-           SvgNumber(top) + "\" width=\"" +
-           SvgNumber(kSide * (bin.high - bin.low) - 3.0) + "\" height=\"" +
-           SvgNumber(Y(0.0) - top) + "\" fill=\"" + kBar +
-           "\" fill-opacity=\"0.28\" stroke=\"" + kBar + "\"/>\n";
-  }
+  svg += Bars(bins);
   svg += SvgLine(X(0.0), Y(0.0), X(1.0), Y(1.0), kFaint, 1.2,
                  "stroke-dasharray=\"6 4\"");
-  for (const ReliabilityBin& bin : bins) {
-    if (bin.count == 0) continue;
-    svg += SvgCircle(X(bin.mean_stated), Y(bin.share_correct), 4.5, kBar,
-                     "#ffffff", 1.5);
-    svg += SvgText(X(0.5 * (bin.low + bin.high)), Y(0.0) - 9.0,
-                   absl::StrCat(bin.count), kInk, "middle",
-                   "stroke=\"#ffffff\" stroke-width=\"4\" "
-                   "stroke-linejoin=\"round\" paint-order=\"stroke\"");
-  }
+  svg += Dots(bins);
   svg += Border();
-  std::string error = "No probability was stated.";
-  if (expected_calibration_error.has_value()) {
-    error =
-        "Expected calibration error " + Fixed(*expected_calibration_error, 3);
-    if (positive_error.has_value()) {
-      error += ", where stated at 0.1 or more " + Fixed(*positive_error, 3);
-    }
-    error += ". Numbers: candidates of each bin.";
-  }
+  const std::string error =
+      ErrorText(expected_calibration_error, positive_error);
   const double y = kPlotTop + kSide + kBelow + 12.0;
   svg += SvgText(kPlotLeft, y + 4.5, error, kInk, "start", "");
   svg +=

@@ -83,21 +83,11 @@ std::string OutcomeOf(const JudgedCheck& check) {
   return check.true_loop ? "wrong" : "no loop";
 }
 
-void PrintSummary(const Row& row, bool verified, std::ostream& out) {
-  const Tally& t = row.tally;
-  std::vector<std::pair<std::string, std::string>> fields = {
-      {"drive", row.drive},
-      {"checks", absl::StrCat(t.checks)},
-      {"true loops", absl::StrCat(t.true_loops)},
-      {"accepted", absl::StrCat(t.accepted)},
-      {"right", absl::StrCat(t.accepted_correct)},
-      {"precision", OrDash(t.precision(), 3)},
-      {"recall", OrDash(t.recall(), 3)},
-      {"F1", OrDash(t.f1(), 3)},
-      {"in interval",
-       absl::StrCat("precision ", OrDash(t.interval_precision(), 3),
-                    ", recall ", OrDash(t.interval_recall(), 3), ": ",
-                    t.accepted_holding, " whose interval holds the place")},
+using Fields = std::vector<std::pair<std::string, std::string>>;
+
+// Figures that do not depend on verdicts, and the work of a verifier.
+Fields RankingFields(const Tally& t) {
+  return {
       {"top-1", absl::StrCat(OrDash(t.top1(), 3), ", ", t.top1_correct,
                              " of the true loops (verdict aside)")},
       {"recall@5",
@@ -113,6 +103,24 @@ void PrintSummary(const Row& row, bool verified, std::ostream& out) {
       {"looks/loop", absl::StrCat(OrDash(t.looks_per_loop(), 2), ", ", t.looks,
                                   " looks of ", Fixed(2.0 * kLookMeters, 0),
                                   " m for the ", t.loops_seen, " loops seen")}};
+}
+
+void PrintSummary(const Row& row, bool verified, std::ostream& out) {
+  const Tally& t = row.tally;
+  Fields fields = {
+      {"drive", row.drive},
+      {"checks", absl::StrCat(t.checks)},
+      {"true loops", absl::StrCat(t.true_loops)},
+      {"accepted", absl::StrCat(t.accepted)},
+      {"right", absl::StrCat(t.accepted_correct)},
+      {"precision", OrDash(t.precision(), 3)},
+      {"recall", OrDash(t.recall(), 3)},
+      {"F1", OrDash(t.f1(), 3)},
+      {"in interval",
+       absl::StrCat("precision ", OrDash(t.interval_precision(), 3),
+                    ", recall ", OrDash(t.interval_recall(), 3), ": ",
+                    t.accepted_holding, " whose interval holds the place")}};
+  for (auto& field : RankingFields(t)) fields.push_back(std::move(field));
   if (t.calibration_error().has_value()) {
     fields.push_back({"ECE p>=0.1", OrDash(t.positive_calibration_error(), 3)});
     fields.push_back({"ECE", OrDash(t.calibration_error(), 3)});

@@ -67,6 +67,65 @@ std::vector<Method> AtEachScale(const std::vector<Method>& methods,
   return all;
 }
 
+// Adds notes on the methods that are measured one beside the other.
+void AddNotesOnMethods(const EvaluateOptions& options,
+                       std::vector<std::string>* notes) {
+  if (!options.sequence_lengths.empty()) {
+    notes->push_back(absl::StrCat(
+        "Sequence lengths: the recent path that is no history is as long as "
+        "the sequence, so that true loops differ too; checks begin at two "
+        "sequence lengths or ",
+        Fixed(options.judging.first_check_meters, 0),
+        " m, whichever is later."));
+  }
+  if (!options.claimed_scales.empty()) {
+    notes->push_back(
+        "Claimed scales: every standard deviation is claimed this many times "
+        "as large, with the same settings; one row holds all drives.");
+  }
+  if (options.baselines) {
+    notes->push_back(
+        "nearest position: estimates within 15 m, all accepted. single pose: "
+        "the best log-similarity of one node. paper: the log-similarities of "
+        "all nodes of the sequence summed, without and with "
+        "cross-covariance.");
+  }
+}
+
+// Adds notes on errors that are drawn or added, and on the claims about them.
+void AddNotesOnErrors(const EvaluateOptions& options,
+                      std::vector<std::string>* notes) {
+  if (options.fix_noise.has_value()) {
+    const FixNoise& noise = *options.fix_noise;
+    notes->push_back(absl::StrCat(
+        "Fixes: drawn each second along the true paths with errors of ",
+        Fixed(noise.meters, 1), " m in x and y, ",
+        noise.correlation_seconds > 0.0
+            ? absl::StrCat("correlated over ",
+                           Fixed(noise.correlation_seconds, 0), " s")
+            : "independent",
+        ", and of ", Fixed(noise.heading, 2), " rad in heading; claimed as ",
+        NameOf(options.settings.correlation_model()), "; ",
+        std::max<std::size_t>(options.seeds.size(), 1), " seeds."));
+  } else if (!options.seeds.empty()) {
+    notes->push_back(absl::StrCat(
+        "Simulated: estimates drawn along the true paths, ",
+        options.seeds.size(), " seeds; one row holds all seeds of a drive."));
+  }
+  if (options.gyro_bias != 0.0) {
+    notes->push_back(
+        absl::StrCat("Gyro bias: estimates turn by ",
+                     Fixed(options.gyro_bias / kRadiansPerDegree, 4),
+                     " degrees a second more than they did; this is claimed "
+                     "nowhere."));
+  }
+  if (options.uncertainty.claimed_scale != 1.0) {
+    notes->push_back(
+        absl::StrCat("Claimed standard deviations are multiplied by ",
+                     Fixed(options.uncertainty.claimed_scale, 3), "."));
+  }
+}
+
 }  // namespace
 
 std::vector<Method> ChooseMethods(const EvaluateOptions& options,
@@ -94,55 +153,8 @@ std::vector<Method> ChooseMethods(const EvaluateOptions& options,
 
 std::vector<std::string> NotesOn(const EvaluateOptions& options) {
   std::vector<std::string> notes;
-  if (!options.sequence_lengths.empty()) {
-    notes.push_back(absl::StrCat(
-        "Sequence lengths: the recent path that is no history is as long as "
-        "the sequence, so that true loops differ too; checks begin at two "
-        "sequence lengths or ",
-        Fixed(options.judging.first_check_meters, 0),
-        " m, whichever is later."));
-  }
-  if (!options.claimed_scales.empty()) {
-    notes.push_back(
-        "Claimed scales: every standard deviation is claimed this many times "
-        "as large, with the same settings; one row holds all drives.");
-  }
-  if (options.baselines) {
-    notes.push_back(
-        "nearest position: estimates within 15 m, all accepted. single pose: "
-        "the best log-similarity of one node. paper: the log-similarities of "
-        "all nodes of the sequence summed, without and with "
-        "cross-covariance.");
-  }
-  if (options.fix_noise.has_value()) {
-    const FixNoise& noise = *options.fix_noise;
-    notes.push_back(absl::StrCat(
-        "Fixes: drawn each second along the true paths with errors of ",
-        Fixed(noise.meters, 1), " m in x and y, ",
-        noise.correlation_seconds > 0.0
-            ? absl::StrCat("correlated over ",
-                           Fixed(noise.correlation_seconds, 0), " s")
-            : "independent",
-        ", and of ", Fixed(noise.heading, 2), " rad in heading; claimed as ",
-        NameOf(options.settings.correlation_model()), "; ",
-        std::max<std::size_t>(options.seeds.size(), 1), " seeds."));
-  } else if (!options.seeds.empty()) {
-    notes.push_back(absl::StrCat(
-        "Simulated: estimates drawn along the true paths, ",
-        options.seeds.size(), " seeds; one row holds all seeds of a drive."));
-  }
-  if (options.gyro_bias != 0.0) {
-    notes.push_back(
-        absl::StrCat("Gyro bias: estimates turn by ",
-                     Fixed(options.gyro_bias / kRadiansPerDegree, 4),
-                     " degrees a second more than they did; this is claimed "
-                     "nowhere."));
-  }
-  if (options.uncertainty.claimed_scale != 1.0) {
-    notes.push_back(
-        absl::StrCat("Claimed standard deviations are multiplied by ",
-                     Fixed(options.uncertainty.claimed_scale, 3), "."));
-  }
+  AddNotesOnMethods(options, &notes);
+  AddNotesOnErrors(options, &notes);
   if (!options.settings.use_belief()) {
     notes.push_back(
         "No belief: every search begins with the covariances as claimed.");
@@ -158,6 +170,8 @@ std::vector<std::string> NotesOn(const EvaluateOptions& options) {
         "is the direction of travel; epochs slower than ",
         Fixed(kStandstillMetersPerSecond, 1), " m/s are left out."));
   }
+  notes.insert(notes.end(), options.file_notes.begin(),
+               options.file_notes.end());
   return notes;
 }
 

@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <memory>
 #include <random>
+#include <set>
 #include <string>
 #include <utility>
 #include <vector>
@@ -111,6 +112,33 @@ DriveResult NearestPositionResult(const DriveResult& other,
   return result;
 }
 
+// Says how many checks pass a place that was passed the other way alone, where
+// only passes the same way are looked for.
+void NoteOppositePasses(const MethodResult& result, const Judging& judging,
+                        std::vector<std::string>* notes) {
+  if (judging.direction != PassDirection::kSame) return;
+  Judging opposite = judging;
+  opposite.direction = PassDirection::kOpposite;
+  opposite.only_revisited = false;
+  std::int64_t passes = 0;
+  for (const DriveResult& drive : result.drives) {
+    std::set<std::int64_t> same;
+    for (const JudgedCheck& check : drive.checks) {
+      if (check.true_loop) same.insert(check.answer.query);
+    }
+    for (const JudgedCheck& check :
+         Judge(drive.nodes, drive.truth_at_nodes, drive.answers, opposite)) {
+      passes += check.true_loop && same.count(check.answer.query) == 0;
+    }
+  }
+  if (passes == 0) return;
+  notes->push_back(absl::StrCat(
+      "Direction: ", passes,
+      " checks that are no true loops here lie where the vehicle had passed in "
+      "the opposite direction; --direction either looks for these passes "
+      "too."));
+}
+
 class Evaluation {
  public:
   Evaluation(const EvaluateOptions& options, std::vector<Case> cases,
@@ -145,6 +173,13 @@ class Evaluation {
           "Repeated: ", options_.repeats,
           " times, all answers the same; timings are over all of them."));
     }
+    NoteOppositePasses(report.methods[report.main], options_.judging,
+                       &report.notes);
+    return WriteOut(report);
+  }
+
+ private:
+  absl::Status WriteOut(const Report& report) const {
     const MethodResult& main = report.methods[report.main];
     if (options_.verbose && !terminal_.json) {
       for (const DriveResult& result : main.drives) {
@@ -167,7 +202,6 @@ class Evaluation {
     return absl::OkStatus();
   }
 
- private:
   absl::StatusOr<std::vector<MethodResult>> RunMethods() {
     std::vector<MethodResult> results;
     for (const Method& method : methods_) {

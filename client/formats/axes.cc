@@ -3,6 +3,7 @@
 #include <Eigen/Geometry>
 #include <cmath>
 
+#include "absl/strings/str_cat.h"
 #include "client/formats/angles.h"
 
 namespace revisit::client {
@@ -12,28 +13,52 @@ using Matrix3 = Eigen::Matrix3d;
 using RowMajor3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
 using RowMajor6 = Eigen::Matrix<double, 6, 6, Eigen::RowMajor>;
 
-// Maps coordinates of the file into those of the service.
-struct Turn {
-  Matrix3 frame;
-  Matrix3 body;
-};
+// Maps the frame's coordinates in the file into those of the service.
+Matrix3 FrameOf(Axes axes) {
+  Matrix3 frame = Matrix3::Identity();
+  if (axes == Axes::kCamera) frame << 0, 0, 1, -1, 0, 0, 0, -1, 0;
+  if (axes == Axes::kNorthEastDown) frame << 0, 1, 0, 1, 0, 0, 0, 0, -1;
+  return frame;
+}
 
-Turn TurnOf(Axes axes) {
-  Turn turn = {Matrix3::Identity(), Matrix3::Identity()};
-  switch (axes) {
-    case Axes::kForwardLeftUp:
-    case Axes::kEastNorthUp:
-      break;
-    case Axes::kCamera:
-      turn.frame << 0, 0, 1, -1, 0, 0, 0, -1, 0;
-      turn.body = turn.frame;
-      break;
-    case Axes::kNorthEastDown:
-      turn.frame << 0, 1, 0, 1, 0, 0, 0, 0, -1;
-      turn.body.diagonal() << 1, -1, -1;
-      break;
+// The direction of a letter, forward, left and up; 0 of any other letter.
+Eigen::Vector3d DirectionOf(char letter) {
+  switch (letter) {
+    case 'f':
+      return {1, 0, 0};
+    case 'b':
+      return {-1, 0, 0};
+    case 'l':
+      return {0, 1, 0};
+    case 'r':
+      return {0, -1, 0};
+    case 'u':
+      return {0, 0, 1};
+    case 'd':
+      return {0, 0, -1};
+    default:
+      return {0, 0, 0};
   }
-  return turn;
+}
+
+Matrix3 MatrixOf(const BodyAxes& body) {
+  Matrix3 matrix;
+  for (int axis = 0; axis < 3; ++axis) {
+    matrix.col(axis) = DirectionOf(body[static_cast<std::size_t>(axis)]);
+  }
+  return matrix;
+}
+
+// Maps coordinates of the file's body into those of the vehicle.
+Matrix3 BodyOf(const Conventions& conventions) {
+  BodyAxes body = {'f', 'l', 'u'};
+  if (conventions.axes == Axes::kCamera) body = {'r', 'd', 'f'};
+  if (conventions.axes == Axes::kNorthEastDown) body = {'f', 'r', 'd'};
+  const Matrix3 matrix = MatrixOf(conventions.body.value_or(body));
+  if (conventions.body_yaw == 0.0) return matrix;
+  return Eigen::AngleAxisd(conventions.body_yaw, Eigen::Vector3d::UnitZ())
+             .toRotationMatrix() *
+         matrix;
 }
 
 // Scales yaw and its moments.
@@ -96,10 +121,9 @@ Eigen::Quaterniond Rotation(const std::array<double, 4>& q) {
   return Eigen::Quaterniond(q[3], q[0], q[1], q[2]);
 }
 
-void TurnAxes(Axes axes, Sample* sample) {
-  const Turn turn = TurnOf(axes);
+void TurnFrame(Axes axes, const Matrix3& frame, Sample* sample) {
   const Eigen::Vector3d position =
-      turn.frame *
+      frame *
       Eigen::Vector3d(sample->estimate.x, sample->estimate.y, sample->z);
   if (axes == Axes::kNorthEastDown) {
     SwapPlane(sample);
@@ -108,23 +132,41 @@ void TurnAxes(Axes axes, Sample* sample) {
   sample->estimate.x = position.x();
   sample->estimate.y = position.y();
   sample->z = position.z();
-  if (sample->quaternion.has_value()) {
-    const Eigen::Quaterniond converted(
-        turn.frame *
-        Rotation(*sample->quaternion).normalized().toRotationMatrix() *
-        turn.body.transpose());
-    sample->quaternion = {converted.x(), converted.y(), converted.z(),
-                          converted.w()};
-  }
   if (sample->covariance_36.has_value()) {
     RowMajor6 covariance = Eigen::Map<RowMajor6>(sample->covariance_36->data());
     RowMajor6 both = RowMajor6::Zero();
-    both.topLeftCorner<3, 3>() = turn.frame;
-    both.bottomRightCorner<3, 3>() = turn.frame;
+    both.topLeftCorner<3, 3>() = frame;
+    both.bottomRightCorner<3, 3>() = frame;
     Eigen::Map<RowMajor6>(sample->covariance_36->data()) =
         both * covariance * both.transpose();
     sample->covariance = PlanarPart(*sample->covariance_36);
   }
+}
+
+void TurnOrientation(const Matrix3& frame, const Matrix3& body,
+                     Sample* sample) {
+  const Eigen::Quaterniond converted(
+      frame * Rotation(*sample->quaternion).normalized().toRotationMatrix() *
+      body.transpose());
+  sample->quaternion = {converted.x(), converted.y(), converted.z(),
+                        converted.w()};
+}
+
+// Yaw alone is that of the body's x axis.
+absl::Status TurnYaw(const Conventions& conventions, Sample* sample) {
+  double angle = conventions.body_yaw;
+  if (conventions.body.has_value()) {
+    const Eigen::Vector3d x = DirectionOf((*conventions.body)[0]);
+    if (x.z() != 0.0) {
+      return absl::InvalidArgumentError(
+          "--body-axes with x up or down needs orientations as quaternions; "
+          "the file has yaw alone");
+    }
+    angle += std::atan2(x.y(), x.x());
+  }
+  sample->estimate.heading -= angle;
+  if (sample->truth.has_value()) sample->truth->heading -= angle;
+  return absl::OkStatus();
 }
 
 absl::Status CheckForCamera(const Sample& sample) {
@@ -153,23 +195,78 @@ absl::StatusOr<Sample> Convert(const Sample& sample,
     converted.quaternion = {x, y, z, w};
   }
   ConvertAngles(conventions.angles, &converted);
-  if (!converted.geodetic.has_value()) {
-    if (conventions.axes == Axes::kCamera) {
-      if (absl::Status status = CheckForCamera(converted); !status.ok()) {
-        return status;
-      }
+  const bool turns_frame = !converted.geodetic.has_value() &&
+                           (conventions.axes == Axes::kCamera ||
+                            conventions.axes == Axes::kNorthEastDown);
+  const bool turns_body =
+      conventions.body.has_value() || conventions.body_yaw != 0.0;
+  if (turns_frame && conventions.axes == Axes::kCamera) {
+    if (absl::Status status = CheckForCamera(converted); !status.ok()) {
+      return status;
     }
-    if (conventions.axes == Axes::kCamera ||
-        conventions.axes == Axes::kNorthEastDown) {
-      TurnAxes(conventions.axes, &converted);
+  }
+  const Matrix3 frame =
+      turns_frame ? FrameOf(conventions.axes) : Matrix3::Identity();
+  if (turns_frame) TurnFrame(conventions.axes, frame, &converted);
+  if (converted.quaternion.has_value()) {
+    if (turns_frame || turns_body) {
+      TurnOrientation(frame, BodyOf(conventions), &converted);
+    }
+  } else if (turns_body && converted.has_heading) {
+    if (absl::Status status = TurnYaw(conventions, &converted); !status.ok()) {
+      return status;
     }
   }
   if (converted.quaternion.has_value()) {
-    const auto [x, y, z, w] = *converted.quaternion;
-    converted.estimate.heading =
-        std::atan2(2.0 * (x * y + w * z), w * w + x * x - y * y - z * z);
+    converted.estimate.heading = HeadingOf(*converted.quaternion);
   }
   return converted;
+}
+
+std::optional<BodyAxes> ReadBodyAxes(std::string_view text) {
+  if (text == "camera") text = "rdf";
+  if (text.size() != 3) return std::nullopt;
+  const BodyAxes body = {text[0], text[1], text[2]};
+  // The columns of anything else are no rotation.
+  if (MatrixOf(body).determinant() != 1.0) return std::nullopt;
+  return body;
+}
+
+std::string Describe(const BodyAxes& body) {
+  const auto word = [](char letter) {
+    switch (letter) {
+      case 'f':
+        return "forward";
+      case 'b':
+        return "back";
+      case 'l':
+        return "left";
+      case 'r':
+        return "right";
+      case 'u':
+        return "up";
+      default:
+        return "down";
+    }
+  };
+  return absl::StrCat("x points ", word(body[0]), ", y ", word(body[1]), ", z ",
+                      word(body[2]));
+}
+
+std::array<double, 9> RotationOf(const Sample& sample) {
+  const Matrix3 matrix =
+      sample.quaternion.has_value()
+          ? Rotation(*sample.quaternion).normalized().toRotationMatrix()
+          : Eigen::AngleAxisd(sample.estimate.heading, Eigen::Vector3d::UnitZ())
+                .toRotationMatrix();
+  std::array<double, 9> rows;
+  Eigen::Map<RowMajor3>(rows.data()) = matrix;
+  return rows;
+}
+
+double HeadingOf(const std::array<double, 4>& quaternion) {
+  const auto& [x, y, z, w] = quaternion;
+  return std::atan2(2.0 * (x * y + w * z), w * w + x * x - y * y - z * z);
 }
 
 double UprightCosine(const Sample& sample) {

@@ -51,6 +51,12 @@ class CourseReader : public SampleReader {
     return sample;
   }
 
+  LeftOut left_out() const override {
+    LeftOut all = reader_->left_out();
+    all.standing += standing_;
+    return all;
+  }
+
  private:
   void Take(const Sample& sample) {
     if (!sample.has_heading && !sample.velocity.has_value()) {
@@ -71,7 +77,10 @@ class CourseReader : public SampleReader {
     const double east = sample.velocity->east;
     const double north = sample.velocity->north;
     const double speed = std::hypot(east, north);
-    if (!(speed >= kStandstillMetersPerSecond)) return;
+    if (!(speed >= kStandstillMetersPerSecond)) {
+      ++standing_;
+      return;
+    }
     constexpr double kVariance = kVelocitySigma * kVelocitySigma;
     const double across =
         sample.velocity->covariance.has_value()
@@ -90,7 +99,10 @@ class CourseReader : public SampleReader {
       return;
     }
     const double distance = Distance(*pending_, sample);
-    if (distance < kCourseMeters) return;
+    if (distance < kCourseMeters) {
+      ++standing_;
+      return;
+    }
     if (distance > kLongestCourseMeters) {
       FinishPending(nullptr);
       kept_.reset();
@@ -101,6 +113,7 @@ class CourseReader : public SampleReader {
         sample.time_nanoseconds.has_value()) {
       const double seconds = SecondsOf(sample) - SecondsOf(*before);
       if (Distance(*before, sample) < kStandstillMetersPerSecond * seconds) {
+        ++standing_;
         return;
       }
     }
@@ -132,6 +145,8 @@ class CourseReader : public SampleReader {
       SetCovariance((across(from) + across(to)) / (distance * distance),
                     &sample);
       ready_.push_back(sample);
+    } else {
+      ++standing_;
     }
     kept_ = sample;
   }
@@ -143,6 +158,8 @@ class CourseReader : public SampleReader {
   std::optional<Sample> kept_;
   std::optional<Sample> pending_;
   std::optional<Sample> last_seen_;
+  // Positions that were left out.
+  std::int64_t standing_ = 0;
 };
 
 }  // namespace

@@ -18,6 +18,8 @@ struct Name {
 
 constexpr Name kNames[] = {
     {kTime, "t", "t_s"},
+    {kWeek, "week", "week"},
+    {kTimeOfWeek, "tow", "tow"},
     {kX, "x", "est_x"},
     {kY, "y", "est_y"},
     {kZ, "z", "est_z"},
@@ -41,6 +43,10 @@ constexpr Name kNames[] = {
     {CsvKey(kCovariance + 3), "pyy", "pyy"},
     {CsvKey(kCovariance + 4), "pyt", "pyt"},
     {CsvKey(kCovariance + 5), "ptt", "ptt"},
+    {kDeviation, "sdx", "sdx"},
+    {CsvKey(kDeviation + 1), "sdy", "sdy"},
+    {CsvKey(kDeviation + 2), "sdz", "sdz"},
+    {CsvKey(kDeviation + 3), "sdyaw", "sdyaw"},
     {kTransition, "fxx", "fxx"},
     {CsvKey(kTransition + 1), "fxy", "fxy"},
     {CsvKey(kTransition + 2), "fxt", "fxt"},
@@ -66,7 +72,18 @@ constexpr std::size_t kTwice = CsvLayout::kAbsent - 1;
 using Header = std::map<std::string, std::size_t, std::less<>>;
 
 constexpr char kColumnsHint[] =
-    "; --columns t=NAME,x=NAME,y=NAME,yaw=NAME names the columns of any file";
+    "; --columns t=NAME,x=NAME,y=NAME,yaw=NAME names the columns of any file, "
+    "or counts them from 1: t=1,x=2";
+
+bool IsCount(std::string_view text) {
+  return !text.empty() && text.size() <= 4 && text[0] != '0' &&
+         text.find_first_not_of("0123456789") == text.npos;
+}
+
+// The name of a column in a header of this kind.
+const char* NameIn(bool drive, const Name& name) {
+  return drive ? name.of_drive : name.word;
+}
 
 std::string NamesOf(const std::vector<std::string_view>& names) {
   std::string all;
@@ -92,8 +109,8 @@ absl::StatusOr<std::map<std::string, std::string>> ReadColumns(
     if (equals == std::string_view::npos || !known) {
       return absl::InvalidArgumentError(
           absl::StrCat("--columns: expected WORD=NAME with a word such as t, "
-                       "x, y, z, yaw, qx, qy, qz, qw, lat, lon, height, pxx or "
-                       "cov, got ",
+                       "x, y, z, yaw, qx, qy, qz, qw, lat, lon, height, pxx, "
+                       "sdx or cov, got ",
                        Quoted(part)));
     }
     if (!names.emplace(word, WithoutBlanks(part.substr(equals + 1))).second) {
@@ -108,6 +125,7 @@ absl::Status FindColumns(const Header& header,
                          const std::map<std::string, std::string>& names,
                          const std::vector<std::string_view>& columns,
                          const Lines& lines, CsvLayout* layout) {
+  const bool drive = !names.empty() || NamesADrive(columns);
   const auto find = [&](std::size_t key, const std::string& name) {
     const auto found = header.find(name);
     if (found == header.end()) return false;
@@ -122,8 +140,8 @@ absl::Status FindColumns(const Header& header,
   };
   for (const Name& one : kNames) {
     const auto given = names.find(one.word);
-    const bool found =
-        find(one.key, given == names.end() ? one.of_drive : given->second);
+    const bool found = find(
+        one.key, given == names.end() ? NameIn(drive, one) : given->second);
     if (!found && given != names.end()) return missing(given->second);
   }
   if (const auto prefix = names.find("cov"); prefix != names.end()) {
@@ -135,57 +153,81 @@ absl::Status FindColumns(const Header& header,
   return absl::OkStatus();
 }
 
-// An error if only a part of a group of columns is there.
-absl::Status CheckGroup(const CsvLayout& layout, std::size_t first,
-                        std::size_t count, const Lines& lines) {
+// An error if only a part of these columns is there.
+absl::Status CheckGroup(const CsvLayout& layout,
+                        std::initializer_list<std::size_t> keys,
+                        const Lines& lines) {
   std::size_t found = 0;
   const char* absent = "";
-  for (const Name& name : kNames) {
-    if (name.key < first || name.key >= first + count) continue;
-    if (layout.Has(name.key)) {
+  for (const std::size_t key : keys) {
+    if (layout.Has(key)) {
       ++found;
-    } else {
-      absent = name.of_drive;
+      continue;
+    }
+    for (const Name& name : kNames) {
+      if (name.key == key) absent = name.of_drive;
     }
   }
-  if (found == 0 || found == count) return absl::OkStatus();
+  if (found == 0 || found == keys.size()) return absl::OkStatus();
   return lines.Error(absl::StrCat("expected a column ", absent,
                                   ", since others of its group are there"));
+}
+
+// Groups that are there as a whole or not at all. A covariance may be diagonal,
+// and that of a position has no yaw.
+absl::Status CheckGroups(const CsvLayout& layout, const Lines& lines) {
+  const bool heading = layout.Has(kYaw) || layout.Has(kQuaternion);
+  const std::size_t xx = kCovariance, xy = xx + 1, xt = xx + 2, yy = xx + 3,
+                    yt = xx + 4, tt = xx + 5;
+  const std::size_t q = kQuaternion, f = kTransition, sd = kDeviation;
+  absl::Status status;
+  const auto check = [&](std::initializer_list<std::size_t> keys) {
+    status.Update(CheckGroup(layout, keys, lines));
+  };
+  check({kWeek, kTimeOfWeek});
+  check({q, q + 1, q + 2, q + 3});
+  check({kVelocity, kVelocity + 1});
+  check({kTruth, kTruth + 1, kTruth + 2});
+  check({f, f + 1, f + 2, f + 3, f + 4, f + 5, f + 6, f + 7, f + 8});
+  if (heading || layout.Has(tt)) {
+    check({xx, yy, tt});
+    check({xy, xt, yt});
+    check({sd, sd + 1, sd + 3});
+  } else {
+    check({xx, yy});
+    check({sd, sd + 1});
+  }
+  if (layout.Has(xy)) check({xx, xy, yy});
+  return status;
 }
 
 absl::Status CheckLayout(const CsvLayout& layout, const ReaderOptions& options,
                          const std::vector<std::string_view>& columns,
                          const Lines& lines) {
-  const auto missing = [&](const char* what) {
-    return lines.Error(absl::StrCat("expected a column ", what, ", got ",
-                                    NamesOf(columns), kColumnsHint));
+  const bool drive = !options.columns.empty() || NamesADrive(columns);
+  const auto missing = [&](std::size_t key) {
+    const auto name =
+        std::find_if(std::begin(kNames), std::end(kNames),
+                     [key](const Name& one) { return one.key == key; });
+    return lines.Error(absl::StrCat("expected a column ", NameIn(drive, *name),
+                                    ", got ", NamesOf(columns), kColumnsHint));
   };
   const bool geodetic = layout.Has(kLatitude) || layout.Has(kLongitude);
   const std::size_t first = geodetic ? kLatitude : kX;
   for (const std::size_t key : {first, first + 1}) {
-    for (const Name& name : kNames) {
-      if (name.key == key && !layout.Has(key)) return missing(name.of_drive);
-    }
+    if (!layout.Has(key)) return missing(key);
   }
-  for (const auto& [group, count] :
-       {std::pair<std::size_t, std::size_t>{kQuaternion, 4},
-        {kVelocity, 2},
-        {kTruth, 3},
-        {kCovariance, 6},
-        {kTransition, 9}}) {
-    if (absl::Status status = CheckGroup(layout, group, count, lines);
-        !status.ok()) {
-      return status;
-    }
+  if (absl::Status status = CheckGroups(layout, lines); !status.ok()) {
+    return status;
   }
   // A column that is missing may be misspelt; --columns says what is meant.
   if (!options.columns.empty()) return absl::OkStatus();
-  if (!layout.Has(kTime) && options.times_file.empty() &&
+  if (!layout.Has(kTime) && !layout.Has(kWeek) && options.times_file.empty() &&
       !options.rate_hz.has_value()) {
-    return missing("t_s");
+    return missing(kTime);
   }
   if (!layout.Has(kYaw) && !layout.Has(kQuaternion) && !geodetic) {
-    return missing("est_yaw");
+    return missing(kYaw);
   }
   return absl::OkStatus();
 }
@@ -193,18 +235,32 @@ absl::Status CheckLayout(const CsvLayout& layout, const ReaderOptions& options,
 }  // namespace
 
 char SeparatorOf(std::string_view line) {
-  char best = ',';
-  for (const char separator : {';', '\t'}) {
-    if (std::count(line.begin(), line.end(), separator) >
-        std::count(line.begin(), line.end(), best)) {
-      best = separator;
-    }
+  char best = ' ';
+  std::ptrdiff_t most = 0;
+  for (const char separator : {',', ';', '\t'}) {
+    const auto count = std::count(line.begin(), line.end(), separator);
+    if (count > most) best = separator;
+    most = std::max(most, count);
   }
   return best;
 }
 
+bool NamesADrive(const std::vector<std::string_view>& names) {
+  return std::any_of(names.begin(), names.end(), [](std::string_view name) {
+    return name == "est_x" || name == "est_y" || name == "t_s";
+  });
+}
+
+bool CountsColumns(const std::string& columns) {
+  const auto names = ReadColumns(columns);
+  return names.ok() && !names->empty() &&
+         std::all_of(names->begin(), names->end(),
+                     [](const auto& name) { return IsCount(name.second); });
+}
+
 std::vector<std::string_view> FieldsOf(char separator, std::string_view line) {
-  auto fields = SplitAt(separator, line);
+  auto fields =
+      separator == ' ' ? SplitAtBlanks(line) : SplitAt(separator, line);
   for (std::string_view& field : fields) field = WithoutQuotes(field);
   return fields;
 }
@@ -239,6 +295,42 @@ absl::StatusOr<CsvLayout> LayoutOfHeader(std::string_view line,
       !status.ok()) {
     return status;
   }
+  return layout;
+}
+
+absl::StatusOr<CsvLayout> LayoutOfCounts(std::string_view line,
+                                         const ReaderOptions& options,
+                                         const Lines& lines) {
+  const auto names = ReadColumns(options.columns);
+  if (!names.ok()) return names.status();
+  CsvLayout layout;
+  layout.separator = SeparatorOf(line);
+  // Tabs that align columns stand beside blanks.
+  if (layout.separator == '\t') layout.separator = ' ';
+  layout.time_unit = options.time_unit;
+  layout.fields = FieldsOf(layout.separator, line).size();
+  const auto put = [&](std::size_t key, const std::string& count,
+                       std::size_t columns) -> absl::Status {
+    const auto number = static_cast<std::size_t>(std::stoul(count));
+    if (number + columns - 1 > layout.fields) {
+      return lines.Error(absl::StrCat(
+          "expected a column ", number + columns - 1,
+          " as --columns says, got ", layout.fields, " in ", Quoted(line)));
+    }
+    layout.Put(key, number - 1, columns);
+    return absl::OkStatus();
+  };
+  absl::Status status;
+  for (const Name& name : kNames) {
+    const auto given = names->find(name.word);
+    if (given != names->end()) status.Update(put(name.key, given->second, 1));
+  }
+  if (const auto first = names->find("cov"); first != names->end()) {
+    status.Update(put(kCovariance36, first->second, 36));
+  }
+  if (!status.ok()) return status;
+  status = CheckLayout(layout, options, {}, lines);
+  if (!status.ok()) return status;
   return layout;
 }
 

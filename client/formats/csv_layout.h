@@ -21,6 +21,9 @@ enum CsvKey : std::size_t {
   // Instead of kTime: whole seconds and nanoseconds, each in its column.
   kSeconds,
   kNanoseconds,
+  // The same by the GPS calendar: the week and its seconds.
+  kWeek,
+  kTimeOfWeek,
   // Counts where kTime is 0.
   kTimeOfArrival,
   kX,
@@ -35,7 +38,9 @@ enum CsvKey : std::size_t {
   kTruth = kVelocity + 2,
   kTruthZ = kTruth + 3,
   kCovariance,
-  kTransition = kCovariance + 6,
+  // Standard deviations of x, y, z and yaw, in place of the covariance.
+  kDeviation = kCovariance + 6,
+  kTransition = kDeviation + 4,
   kCovariance36 = kTransition + 9,
   kKeys = kCovariance36 + 36,
 };
@@ -54,6 +59,7 @@ struct CsvLayout {
     }
   }
 
+  // A blank stands for any number of blanks and tabs.
   char separator = ',';
   std::size_t fields = 0;
   TimeUnit time_unit = TimeUnit::kByMagnitude;
@@ -62,15 +68,29 @@ struct CsvLayout {
   std::array<std::string, kKeys> name;
 };
 
-// The separator that stands most often in a header.
+// The comma, semicolon or tab that stands most often in a line; a blank if it
+// has none of them.
 char SeparatorOf(std::string_view line);
 
 // Fields without blanks and quotes around them.
 std::vector<std::string_view> FieldsOf(char separator, std::string_view line);
 
+// Whether the names of a header are those of a drive file.
+bool NamesADrive(const std::vector<std::string_view>& names);
+
 // The layout of a drive file, or of what `options.columns` names. `line` is the
 // header, the last line that was read.
 absl::StatusOr<CsvLayout> LayoutOfHeader(std::string_view line,
+                                         const ReaderOptions& options,
+                                         const Lines& lines);
+
+// Whether `columns` counts columns from 1, as in "t=1,x=2", where files need no
+// names.
+bool CountsColumns(const std::string& columns);
+
+// The layout of a file whose columns `options.columns` counts. `line` is one of
+// its lines, the last that was read.
+absl::StatusOr<CsvLayout> LayoutOfCounts(std::string_view line,
                                          const ReaderOptions& options,
                                          const Lines& lines);
 

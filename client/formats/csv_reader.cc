@@ -14,16 +14,48 @@
 namespace revisit::client {
 namespace {
 
+bool IsComment(std::string_view line) {
+  line = WithoutBlanks(line);
+  return line.empty() || line[0] == '#' || line[0] == '%';
+}
+
 class CsvReader : public SampleReader {
  public:
   CsvReader(std::unique_ptr<Lines> lines, CsvLayout layout)
       : lines_(std::move(lines)), layout_(std::move(layout)) {}
 
+  // Reads lines without names. `first` is the one that was read last: a sample,
+  // or names nevertheless.
+  CsvReader(std::unique_ptr<Lines> lines, CsvLayout layout, std::string first)
+      : CsvReader(std::move(lines), std::move(layout)) {
+    has_comments_ = true;
+    first_ = std::move(first);
+  }
+
   absl::StatusOr<std::optional<Sample>> Next() override {
+    if (first_.has_value()) {
+      const std::string first = *std::exchange(first_, std::nullopt);
+      if (HasNumbers(first)) return ReadLine(first);
+    }
     std::string_view line;
     do {
       if (!lines_->Next(&line)) return EndOf(*lines_);
-    } while (WithoutBlanks(line).empty());
+    } while (has_comments_ ? IsComment(line) : WithoutBlanks(line).empty());
+    return ReadLine(line);
+  }
+
+ private:
+  // Whether some value that is read is a number, which no name is.
+  bool HasNumbers(std::string_view line) const {
+    const auto fields = FieldsOf(layout_.separator, line);
+    return std::any_of(layout_.index.begin(), layout_.index.end(),
+                       [&](std::size_t i) {
+                         return i < fields.size() && !fields[i].empty() &&
+                                ReadNumber(fields[i], "", *lines_).ok();
+                       });
+  }
+
+  absl::StatusOr<std::optional<Sample>> ReadLine(std::string_view line) {
     fields_ = FieldsOf(layout_.separator, line);
     if (fields_.size() != layout_.fields) {
       return lines_->Error(absl::StrCat("expected ", layout_.fields,
@@ -39,7 +71,6 @@ class CsvReader : public SampleReader {
     return sample;
   }
 
- private:
   double Number(std::size_t key) {
     const auto value =
         ReadNumber(fields_[layout_.index[key]], layout_.name[key], *lines_);
@@ -81,10 +112,60 @@ class CsvReader : public SampleReader {
       return static_cast<std::int64_t>(seconds) * kNanosecondsPerSecond +
              static_cast<std::int64_t>(nanoseconds);
     }
+    if (layout_.Has(kWeek)) return StampOfWeek();
     if (!layout_.Has(kTime)) return std::nullopt;
     const auto time = Time(kTime);
     if (time == 0 && layout_.Has(kTimeOfArrival)) return Time(kTimeOfArrival);
     return time;
+  }
+
+  std::optional<std::int64_t> StampOfWeek() {
+    const double week = Number(kWeek);
+    const auto seconds = NanosecondsOf(fields_[layout_.index[kTimeOfWeek]]);
+    if (seconds.ok()) {
+      if (const auto stamp = TimeOfGpsWeek(week, *seconds)) return stamp;
+    }
+    error_.Update(lines_->Error(
+        absl::StrCat("expected a GPS week and seconds of it, got ",
+                     Quoted(fields_[layout_.index[kWeek]]), " and ",
+                     Quoted(fields_[layout_.index[kTimeOfWeek]]))));
+    return std::nullopt;
+  }
+
+  // Variances and, where the file has them, covariances of x, y and yaw.
+  std::optional<std::array<double, 6>> PlanarCovariance() {
+    if (layout_.Has(kDeviation)) {
+      const auto square = [&](std::size_t key) {
+        const double deviation = NumberOrZero(key);
+        return deviation * deviation;
+      };
+      return std::array<double, 6>{
+          square(kDeviation),     0.0, 0.0,
+          square(kDeviation + 1), 0.0, square(kDeviation + 3)};
+    }
+    if (!layout_.Has(kCovariance)) return std::nullopt;
+    std::array<double, 6> values;
+    for (std::size_t i = 0; i < 6; ++i) {
+      values[i] = NumberOrZero(kCovariance + i);
+    }
+    return values;
+  }
+
+  void ReadCovariance(Sample* sample) {
+    sample->covariance = PlanarCovariance();
+    if (sample->covariance.has_value() && !sample->has_heading) {
+      const auto& [xx, xy, xh, yy, yh, hh] = *sample->covariance;
+      sample->position_covariance = {xx, xy, yy};
+      sample->covariance.reset();
+    }
+    if (layout_.Has(kDeviation + 2)) {
+      const double up = Number(kDeviation + 2);
+      sample->height_covariance = {0.0, 0.0, up * up};
+    }
+    sample->covariance_36 = Group<36>(kCovariance36);
+    if (sample->covariance_36.has_value()) {
+      sample->covariance = PlanarPart(*sample->covariance_36);
+    }
   }
 
   Sample Read() {
@@ -110,20 +191,34 @@ class CsvReader : public SampleReader {
       sample.truth = {(*truth)[0], (*truth)[1], (*truth)[2]};
     }
     if (layout_.Has(kTruthZ)) sample.truth_z = Number(kTruthZ);
-    sample.covariance = Group<6>(kCovariance);
-    sample.covariance_36 = Group<36>(kCovariance36);
-    if (sample.covariance_36.has_value()) {
-      sample.covariance = PlanarPart(*sample.covariance_36);
-    }
+    ReadCovariance(&sample);
     sample.error_transition = Group<9>(kTransition);
     return sample;
   }
 
   const std::unique_ptr<Lines> lines_;
   const CsvLayout layout_;
+  bool has_comments_ = false;
+  std::optional<std::string> first_;
   std::vector<std::string_view> fields_;
   absl::Status error_;
 };
+
+absl::StatusOr<std::unique_ptr<SampleReader>> ReadCounted(
+    std::unique_ptr<Lines> lines, const ReaderOptions& options) {
+  std::string_view line;
+  do {
+    if (!lines->Next(&line)) {
+      if (!lines->status().ok()) return lines->status();
+      return lines->Error("expected at least one pose, got none");
+    }
+  } while (IsComment(line));
+  std::string first(line);
+  auto layout = LayoutOfCounts(first, options, *lines);
+  if (!layout.ok()) return layout.status();
+  return std::unique_ptr<SampleReader>(std::make_unique<CsvReader>(
+      std::move(lines), *std::move(layout), std::move(first)));
+}
 
 }  // namespace
 
@@ -132,7 +227,8 @@ bool IsDriveHeader(std::string_view line) {
   const auto has = [&](std::string_view name) {
     return std::find(names.begin(), names.end(), name) != names.end();
   };
-  return has("est_x") || has("est_y") || has("t_s");
+  return NamesADrive(names) || (has("x") && has("y")) ||
+         (has("lat") && has("lon"));
 }
 
 bool IsRosCsv(std::string_view line) {
@@ -152,6 +248,9 @@ bool IsRosCsv(std::string_view line) {
 
 absl::StatusOr<std::unique_ptr<SampleReader>> ReadCsv(
     std::unique_ptr<Lines> lines, const ReaderOptions& options) {
+  if (CountsColumns(options.columns)) {
+    return ReadCounted(std::move(lines), options);
+  }
   std::string_view line;
   if (!lines->Next(&line)) {
     if (!lines->status().ok()) return lines->status();

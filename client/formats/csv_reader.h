@@ -1,24 +1,34 @@
-// Values separated by commas, semicolons or tabs.
+// Values separated by commas, semicolons, tabs or blanks.
 //
-// The columns that are read, by the names that `--columns` gives them and by
-// those that a drive file has without it:
+// The columns that are read, by the names that `--columns` gives them, which a
+// header may have as well, and by those of a drive file:
 //
 //   t                 t_s                 time; ReadTime() in times.h
+//   week tow          the same            instead: GPS week and its seconds,
+//                                         counted as if they were UTC
 //   x y z             est_x est_y est_z   local position, metres; z may be left
 //                                         out
 //   yaw               est_yaw             counter-clockwise from +x
 //   qx qy qz qw       est_qx est_qy est_qz est_qw   instead of yaw
-//   lat lon height    lat lon height      degrees and metres, instead of x, y
-//   ve vn             ve vn               velocity to the east and north, m/s
+//   lat lon height    the same            degrees and metres, instead of x, y
+//   ve vn             the same            velocity to the east and north, m/s
 //   gt_x gt_y gt_yaw  the same            the truth
 //   gt_z              the same            its height, metres
-//   pxx pxy pxt pyy pyt ptt  the same     covariance of (x, y, yaw)
-//   cov               -                   36 columns, this name and 0 to 35:
-//                                         covariance as in ROS
+//   pxx pxy pxt pyy pyt ptt  the same     covariance of (x, y, yaw); without
+//                                         pxy, pxt and pyt it is diagonal,
+//                                         without yaw that of (x, y)
+//   sdx sdy sdz sdyaw  the same           instead: standard deviations to the
+//                                         east, the north, upwards, of yaw
+//   cov               -                   36 columns, this name and 0 to 35, or
+//                                         the first one's number: covariance as
+//                                         in ROS
 //   fxx fxy fxt fyx fyy fyt ftx fty ftt  the same
 //                                         error transition, by rows
 //
-// All other columns are passed over. Values and names may stand in quotes.
+// All other columns are passed over. Values and names may stand in quotes. A
+// file without names is read by counts of its columns ("t=1,x=2"); lines that
+// begin with '#' or '%' are then comments, and a first line whose values are no
+// numbers is passed over.
 #ifndef REVISIT_CLIENT_FORMATS_CSV_READER_H_
 #define REVISIT_CLIENT_FORMATS_CSV_READER_H_
 

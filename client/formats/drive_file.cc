@@ -16,6 +16,7 @@ absl::StatusOr<Drive> ReadDrive(SampleReader* reader, const std::string& path) {
     if ((*sample)->truth.has_value()) drive.truth.push_back(*(*sample)->truth);
     drive.samples.push_back(**std::move(sample));
   }
+  drive.left_out = reader->left_out();
   if (drive.samples.empty()) {
     return absl::InvalidArgumentError(path + ": the vehicle never moves");
   }

@@ -18,6 +18,7 @@ struct Drive {
   std::vector<Sample> samples;
   // One for each sample, or none at all.
   std::vector<PlanarPose> truth;
+  LeftOut left_out;
 };
 
 // Reads a file to its end. Errors are those of reader.h; INVALID_ARGUMENT also

@@ -11,6 +11,8 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "client/formats/angles.h"
+#include "client/formats/axes.h"
 #include "client/formats/plain_readers.h"
 
 namespace revisit::client {
@@ -25,6 +27,8 @@ using Information = std::array<double, 21>;
 
 struct Edge {
   std::int64_t from = 0;
+  // The pose of the second vertex in the axes of the first one.
+  Sample step;
   Information information{};
   bool spatial = false;
   std::int64_t line = 0;
@@ -65,17 +69,30 @@ std::optional<Matrix6> NoiseOf(const Edge& edge) {
   return noise;
 }
 
-Eigen::Matrix3d RotationOf(const Sample& sample) {
-  if (sample.quaternion.has_value()) {
-    const auto [x, y, z, w] = *sample.quaternion;
-    return Eigen::Quaterniond(w, x, y, z).normalized().toRotationMatrix();
-  }
-  return Eigen::AngleAxisd(sample.estimate.heading, Eigen::Vector3d::UnitZ())
-      .toRotationMatrix();
+Eigen::Matrix3d AxesOf(const Sample& sample) {
+  const std::array<double, 9> rows = RotationOf(sample);
+  return Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(
+      rows.data());
 }
 
 Eigen::Vector3d PositionOf(const Sample& sample) {
   return {sample.estimate.x, sample.estimate.y, sample.z};
+}
+
+// The pose at the end of a step from `from`.
+Sample After(const Sample& from, const Sample& step) {
+  const Eigen::Vector3d position =
+      PositionOf(from) + AxesOf(from) * PositionOf(step);
+  Sample to;
+  to.estimate = {
+      position.x(), position.y(),
+      std::remainder(from.estimate.heading + step.estimate.heading, 2.0 * kPi)};
+  to.z = position.z();
+  if (step.quaternion.has_value()) {
+    const Eigen::Quaterniond q(AxesOf(from) * AxesOf(step));
+    to.quaternion = {q.x(), q.y(), q.z(), q.w()};
+  }
+  return to;
 }
 
 // Errors in the fixed axes: those of position are swung by those of rotation.
@@ -86,7 +103,7 @@ Matrix6 Carry(const Matrix6& covariance, const Sample& from, const Sample& to,
   swing.block<3, 3>(0, 3) << 0.0, step.z(), -step.y(), -step.z(), 0.0, step.x(),
       step.y(), -step.x(), 0.0;
   Matrix6 axes = Matrix6::Zero();
-  axes.topLeftCorner<3, 3>() = RotationOf(to);
+  axes.topLeftCorner<3, 3>() = AxesOf(to);
   axes.bottomRightCorner<3, 3>() = axes.topLeftCorner<3, 3>();
   return swing * covariance * swing.transpose() +
          axes * noise * axes.transpose();
@@ -136,9 +153,33 @@ class G2oReader : public SampleReader {
       if (!status.ok()) return status;
     }
     if (!lines_->status().ok()) return lines_->status();
-    if (vertices_.empty()) {
+    return vertices_.empty() ? ComposeVertices() : absl::OkStatus();
+  }
+
+  // A file of edges only: vertices follow from those between neighbours, the
+  // first one at the origin.
+  absl::Status ComposeVertices() {
+    if (edges_.empty()) {
       return lines_->Error(
-          "expected at least one VERTEX_SE2 or VERTEX_SE3:QUAT");
+          "expected at least one VERTEX_SE2, VERTEX_SE3:QUAT or edge");
+    }
+    const auto& [second, edge] = *edges_.begin();
+    Sample& origin = vertices_[edge.from];
+    origin.line = edge.line;
+    if (edge.spatial) origin.quaternion = {0.0, 0.0, 0.0, 1.0};
+    for (const auto& [to, step] : edges_) {
+      const auto from = vertices_.find(step.from);
+      if (from == vertices_.end()) {
+        return absl::InvalidArgumentError(
+            absl::StrCat(lines_->path(), ":", step.line,
+                         ": the file has no vertices, and "
+                         "no edges that lead from vertex ",
+                         edges_.begin()->second.from, " to vertex ", step.from,
+                         ", where this one begins"));
+      }
+      Sample vertex = After(from->second, step.step);
+      vertex.line = step.line;
+      vertices_.emplace(to, vertex);
     }
     return absl::OkStatus();
   }
@@ -171,12 +212,8 @@ class G2oReader : public SampleReader {
     return static_cast<std::int64_t>(*id);
   }
 
-  absl::Status ReadVertex(std::size_t count) {
-    if (absl::Status status = ReadNumbers(2, count, &numbers_); !status.ok()) {
-      return status;
-    }
-    const auto id = IdOf(fields_[1]);
-    if (!id.ok()) return id.status();
+  // The first `count` numbers as a pose: 3 in the plane, or 7.
+  Sample PoseOf(std::size_t count) const {
     Sample sample;
     sample.line = lines_->number();
     sample.estimate = {numbers_[0], numbers_[1], 0.0};
@@ -186,6 +223,16 @@ class G2oReader : public SampleReader {
       sample.z = numbers_[2];
       sample.quaternion = {numbers_[3], numbers_[4], numbers_[5], numbers_[6]};
     }
+    return sample;
+  }
+
+  absl::Status ReadVertex(std::size_t count) {
+    if (absl::Status status = ReadNumbers(2, count, &numbers_); !status.ok()) {
+      return status;
+    }
+    const auto id = IdOf(fields_[1]);
+    if (!id.ok()) return id.status();
+    const Sample sample = PoseOf(count);
     if (absl::Status status = CheckPose(sample, *lines_); !status.ok()) {
       return status;
     }
@@ -207,6 +254,10 @@ class G2oReader : public SampleReader {
     Edge edge;
     edge.from = *from;
     edge.spatial = pose == 7;
+    edge.step = PoseOf(pose);
+    if (absl::Status status = CheckPose(edge.step, *lines_); !status.ok()) {
+      return status;
+    }
     edge.line = lines_->number();
     std::copy(numbers_.begin() + static_cast<std::ptrdiff_t>(pose),
               numbers_.end(), edge.information.begin());

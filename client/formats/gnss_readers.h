@@ -21,8 +21,9 @@ namespace revisit::client {
 std::unique_ptr<SampleReader> ReadRtklib(std::unique_ptr<Lines> lines);
 
 // GGA and RMC sentences of NMEA 0183, of any talker. Both of one epoch are one
-// sample. Sentences without a fix and other sentences are passed over; a wrong
-// checksum is an error. Before the first RMC, which has the date, times count
+// sample. Sentences without a fix and other sentences are passed over. So are
+// those with a wrong checksum, which are counted; it is an error if they are
+// more than the others. Before the first RMC, which has the date, times count
 // from midnight. Heights are above the ellipsoid where GGA has the separation
 // of the geoid.
 std::unique_ptr<SampleReader> ReadNmea(std::unique_ptr<Lines> lines);

@@ -20,6 +20,13 @@ constexpr std::int64_t kDegreesLook = 500;
 // Steps of 20 m after which the given reading is taken for right: the others
 // cost as much each.
 constexpr std::int64_t kLastLookAtOthers = 200;
+// A vehicle at 126 km/h, in kilometres.
+constexpr double kFastKilometersPerSecond = 0.035;
+constexpr double kLeastSlowSeconds = 60.0;
+constexpr double kLongestSlowStepSeconds = 2.0;
+constexpr std::int64_t kCoarseSamples = 10;
+// How much better than another convention a turned body has to fit.
+constexpr double kClearlyDegrees = 3.0;
 
 double SecondsBetween(const Sample& a, const Sample& b) {
   if (!a.time_nanoseconds.has_value() || !b.time_nanoseconds.has_value()) {
@@ -40,37 +47,35 @@ std::vector<Reading> MakeReadings(const Conventions& given) {
     readings.push_back(std::move(reading));
   };
   add(given, "", "");
-  const auto axes = [&](Axes value, const char* flag, const char* words) {
-    if (given.axes == value) return;
-    Conventions other = given;
-    other.axes = value;
-    add(other, flag, words);
+  const auto other = [&](auto Conventions::*field, auto value, const char* flag,
+                         const char* words) {
+    if (given.*field == value) return;
+    Conventions conventions = given;
+    conventions.*field = value;
+    add(conventions, flag, words);
   };
-  const auto angles = [&](Angles value, const char* flag, const char* words) {
-    if (given.angles == value) return;
-    Conventions other = given;
-    other.angles = value;
-    add(other, flag, words);
-  };
-  const auto quaternion = [&](QuaternionOrder value, const char* flag,
-                              const char* words) {
-    if (given.quaternion == value) return;
-    Conventions other = given;
-    other.quaternion = value;
-    add(other, flag, words);
-  };
-  quaternion(QuaternionOrder::kXyzw, "--quaternion xyzw", "w last");
-  quaternion(QuaternionOrder::kWxyz, "--quaternion wxyz", "w first");
-  angles(Angles::kRadians, "--angles radians", "yaw in radians");
-  angles(Angles::kDegrees, "--angles degrees", "yaw in degrees");
-  angles(Angles::kCompassRadians, "--angles compass-radians",
-         "radians clockwise from north");
-  angles(Angles::kCompassDegrees, "--angles compass-degrees",
-         "degrees clockwise from north");
-  axes(Axes::kForwardLeftUp, "--axes flu", "x forward, y left, z up");
-  axes(Axes::kCamera, "--axes camera", "x right, y down, z forward");
-  axes(Axes::kNorthEastDown, "--axes ned", "x north, y east, z down");
+  const auto quaternion = &Conventions::quaternion;
+  const auto angles = &Conventions::angles;
+  const auto axes = &Conventions::axes;
+  other(quaternion, QuaternionOrder::kXyzw, "--quaternion xyzw", "w last");
+  other(quaternion, QuaternionOrder::kWxyz, "--quaternion wxyz", "w first");
+  other(angles, Angles::kRadians, "--angles radians", "yaw in radians");
+  other(angles, Angles::kDegrees, "--angles degrees", "yaw in degrees");
+  other(angles, Angles::kCompassRadians, "--angles compass-radians",
+        "radians clockwise from north");
+  other(angles, Angles::kCompassDegrees, "--angles compass-degrees",
+        "degrees clockwise from north");
+  other(axes, Axes::kForwardLeftUp, "--axes flu", "x forward, y left, z up");
+  other(axes, Axes::kCamera, "--axes camera", "x right, y down, z forward");
+  other(axes, Axes::kNorthEastDown, "--axes ned", "x north, y east, z down");
   return readings;
+}
+
+// With the body as in the file.
+Conventions Unturned(Conventions conventions) {
+  conventions.body = BodyAxes{'f', 'l', 'u'};
+  conventions.body_yaw = 0.0;
+  return conventions;
 }
 
 bool IsWrongAt(const CourseStatistics& scale) {
@@ -138,6 +143,13 @@ void Reading::Add(const Sample& raw) {
   }
   near.Add(*sample);
   far.Add(*sample);
+  if (seeks_turn) {
+    if (const auto unturned = Convert(raw, Unturned(conventions));
+        unturned.ok()) {
+      near_turn.Add(*unturned);
+      far_turn.Add(*unturned);
+    }
+  }
   if (sample->quaternion.has_value()) {
     ++oriented;
     if (UprightCosine(*sample) < std::sqrt(0.5)) ++leaning;
@@ -149,6 +161,16 @@ bool Reading::IsWrong(bool complete) const {
   if (!IsWrongAt(near)) return false;
   // A short recording has few long steps.
   return complete && far.steps() < 3 ? true : IsWrongAt(far);
+}
+
+std::optional<BodyTurn::Finding> Reading::Turn() const {
+  if (!possible || near.IsSteep()) return std::nullopt;
+  const auto at_near = near_turn.Find();
+  const auto at_far = far_turn.Find();
+  if (!at_near.has_value() || !at_far.has_value()) {
+    return at_near.has_value() ? at_near : at_far;
+  }
+  return at_near->spread_degrees <= at_far->spread_degrees ? at_near : at_far;
 }
 
 bool Reading::Fits() const {
@@ -171,8 +193,7 @@ absl::Status Plausibility::Suspicious(const std::string& seen,
                    "; --accept-suspicious takes the file as it is"));
 }
 
-// The reading that fits best, as advice.
-std::string Plausibility::MendOf() const {
+const Reading* Plausibility::BestReading() const {
   const Reading* best = nullptr;
   for (const Reading& reading : readings_) {
     if (&reading == &readings_.front() || !reading.Fits()) continue;
@@ -181,12 +202,43 @@ std::string Plausibility::MendOf() const {
       best = &reading;
     }
   }
+  return best;
+}
+
+std::string Plausibility::BestTurn(double* spread_degrees) const {
+  std::string advice;
+  for (const Reading& reading : readings_) {
+    const auto turn = reading.Turn();
+    if (!turn.has_value()) continue;
+    if (!advice.empty() &&
+        turn->spread_degrees + kClearlyDegrees > *spread_degrees) {
+      continue;
+    }
+    *spread_degrees = turn->spread_degrees;
+    advice = absl::StrCat(reading.flag, reading.flag.empty() ? "" : " ",
+                          turn->flags, " (", reading.words,
+                          reading.words.empty() ? "" : "; ", turn->words, ")");
+  }
+  return advice;
+}
+
+// Advises the flags that make heading and course agree.
+std::string Plausibility::MendOf() const {
   if (readings_.size() == 1) {
     return "they agreed until here: the file's axes, units or order change";
   }
+  const Reading* const best = BestReading();
+  double spread_degrees = 0.0;
+  const std::string turned = BestTurn(&spread_degrees);
+  if (!turned.empty() &&
+      (best == nullptr ||
+       spread_degrees + kClearlyDegrees < best->near.Median().value_or(0.0))) {
+    return absl::StrCat("they agree with ", turned);
+  }
   if (best == nullptr) {
     return "expected x forward, y left and z up of the vehicle, in metres and "
-           "radians; no --axes, --angles or --quaternion makes them agree";
+           "radians; no --axes, --body-axes, --angles or --quaternion makes "
+           "them agree";
   }
   return absl::StrCat("they agree with ", best->flag, " (", best->words, ")");
 }
@@ -218,6 +270,32 @@ absl::Status Plausibility::CheckSpeeds() {
         "ns names another unit of time");
   }
   return absl::OkStatus();
+}
+
+absl::Status Plausibility::CheckKilometers() {
+  // A vehicle that stands shakes: its path is no smooth one.
+  if (geodetic_ || slow_seconds_ < kLeastSlowSeconds ||
+      10 * slow_ < 9 * timed_ || 2 * moved_ < samples_ ||
+      !(path_length_ < 1.2 * coarse_length_)) {
+    return absl::OkStatus();
+  }
+  return Suspicious(
+      absl::StrCat("the vehicle moves steadily, but at less than ",
+                   kFastKilometersPerSecond,
+                   " m/s, as one does whose positions are in kilometres"),
+      "expected metres");
+}
+
+absl::Status Plausibility::CheckEarthCentred() {
+  if (geodetic_ || !(least_radius_ > 6.33e6) || !(largest_radius_ < 6.4e6)) {
+    return absl::OkStatus();
+  }
+  return Suspicious(
+      absl::StrCat("positions lie ", std::llround(least_radius_ / 1000.0),
+                   " km from the origin, as earth-centred ones (ECEF) do: "
+                   "their z is not up"),
+      "expected metres of a local frame, or latitude and longitude (--columns "
+      "lat=NAME,lon=NAME)");
 }
 
 absl::Status Plausibility::CheckDegrees() {
@@ -293,51 +371,85 @@ absl::Status Plausibility::CheckReadings(bool complete) {
   return absl::OkStatus();
 }
 
-absl::Status Plausibility::Observe(const Sample& raw) {
-  line_ = raw.line;
-  geodetic_ = raw.geodetic.has_value();
-  if (absl::Status status = CheckTime(raw); !status.ok()) return status;
+void Plausibility::CountStep(const Sample& raw) {
+  const double length = std::hypot(raw.estimate.x - previous_->estimate.x,
+                                   raw.estimate.y - previous_->estimate.y,
+                                   geodetic_ ? 0.0 : raw.z - previous_->z);
+  path_length_ += length;
+  const double seconds = SecondsBetween(*previous_, raw);
+  if (length > 0.0) ++moved_;
+  if (length > 0.0 && seconds > 0.0) {
+    ++timed_;
+    if (length > kFastMetersPerSecond * seconds) ++fast_;
+    if (length < kFastKilometersPerSecond * seconds) {
+      ++slow_;
+      // A gap between two recordings says nothing.
+      slow_seconds_ += std::min(seconds, kLongestSlowStepSeconds);
+    }
+  }
+}
+
+void Plausibility::Count(const Sample& raw) {
+  const bool first = samples_ == 0;
   const double position[] = {raw.estimate.x, raw.estimate.y};
   for (int axis = 0; axis < 2; ++axis) {
-    const bool first = samples_ == 0;
     low_[axis] = first ? position[axis] : std::min(low_[axis], position[axis]);
     high_[axis] =
         first ? position[axis] : std::max(high_[axis], position[axis]);
   }
-  ++samples_;
-  if (previous_.has_value()) {
-    const double length = std::hypot(raw.estimate.x - previous_->estimate.x,
-                                     raw.estimate.y - previous_->estimate.y,
-                                     geodetic_ ? 0.0 : raw.z - previous_->z);
-    path_length_ += length;
-    const double seconds = SecondsBetween(*previous_, raw);
-    if (length > 0.0) ++moved_;
-    if (length > 0.0 && seconds > 0.0) {
-      ++timed_;
-      if (length > kFastMetersPerSecond * seconds) ++fast_;
+  // Projected coordinates are as large, but not upwards.
+  const double radius = std::abs(raw.z) > 2e4
+                            ? std::hypot(raw.estimate.x, raw.estimate.y, raw.z)
+                            : 0.0;
+  least_radius_ = first ? radius : std::min(least_radius_, radius);
+  largest_radius_ = std::max(largest_radius_, radius);
+  if (samples_ % kCoarseSamples == 0) {
+    if (coarse_.has_value()) {
+      coarse_length_ += std::hypot(raw.estimate.x - coarse_->estimate.x,
+                                   raw.estimate.y - coarse_->estimate.y);
     }
+    coarse_ = raw;
   }
+  ++samples_;
+  if (previous_.has_value()) CountStep(raw);
   if (raw.has_heading && !raw.quaternion.has_value()) {
     largest_yaw_ = std::max(largest_yaw_, std::abs(raw.estimate.heading));
   }
   previous_ = raw;
+}
+
+absl::Status Plausibility::CheckPositions() {
+  if (absl::Status status = CheckEarthCentred(); !status.ok()) return status;
+  if (absl::Status status = CheckDegrees(); !status.ok()) return status;
+  if (absl::Status status = CheckSpeeds(); !status.ok()) return status;
+  return CheckKilometers();
+}
+
+absl::Status Plausibility::Observe(const Sample& raw) {
+  line_ = raw.line;
+  geodetic_ = raw.geodetic.has_value();
+  if (absl::Status status = CheckTime(raw); !status.ok()) return status;
+  Count(raw);
   for (Reading& reading : readings_) reading.Add(raw);
   if (samples_ % kDegreesLook == 0) {
-    if (absl::Status status = CheckDegrees(); !status.ok()) return status;
-    if (absl::Status status = CheckSpeeds(); !status.ok()) return status;
+    if (absl::Status status = CheckPositions(); !status.ok()) return status;
   }
   if (readings_[0].far.steps() < next_look_) return absl::OkStatus();
   next_look_ *= 2;
+  if (absl::Status status = CheckEarthCentred(); !status.ok()) return status;
   if (absl::Status status = CheckSpeeds(); !status.ok()) return status;
   const absl::Status status = CheckReadings(false);
-  if (next_look_ > kLastLookAtOthers) readings_.resize(1);
+  if (next_look_ > kLastLookAtOthers) {
+    readings_.resize(1);
+    readings_[0].seeks_turn = false;
+  }
   return status;
 }
 
 absl::Status Plausibility::Finish() {
   if (absl::Status status = CheckSpeeds(); !status.ok()) return status;
   if (samples_ >= kLeastSteps) {
-    if (absl::Status status = CheckDegrees(); !status.ok()) return status;
+    if (absl::Status status = CheckPositions(); !status.ok()) return status;
   }
   return CheckReadings(true);
 }

@@ -5,7 +5,8 @@
 // Only what is certain is suspicious. Heading is compared with the course over
 // steps of 2 m, which noise of positions spoils, and of 20 m, which turning on
 // the spot spoils; both must disagree. Suspicion names what was seen and, where
-// another reading of the same samples fits, the flag for it.
+// another reading of the same samples fits, the flag for it: that of another
+// convention, or that of how the body is turned in the vehicle (body_turn.h).
 #ifndef REVISIT_CLIENT_FORMATS_PLAUSIBILITY_H_
 #define REVISIT_CLIENT_FORMATS_PLAUSIBILITY_H_
 
@@ -17,6 +18,7 @@
 
 #include "absl/status/status.h"
 #include "client/formats/axes.h"
+#include "client/formats/body_turn.h"
 #include "client/formats/sample.h"
 
 namespace revisit::client {
@@ -58,6 +60,11 @@ struct Reading {
   bool possible = true;
   CourseStatistics near{2.0};
   CourseStatistics far{20.0};
+  // How the body is turned if all else is so, over steps as long as above.
+  // Looked for only at the beginning.
+  bool seeks_turn = true;
+  BodyTurn near_turn{2.0};
+  BodyTurn far_turn{20.0};
   // Samples with a full orientation, and those of them whose up axis leans more
   // than 45 degrees.
   std::int64_t oriented = 0;
@@ -69,6 +76,8 @@ struct Reading {
   // more samples follow.
   bool IsWrong(bool complete) const;
   bool Fits() const;
+  // The turn of the body with which the samples fit.
+  std::optional<BodyTurn::Finding> Turn() const;
 };
 
 class Plausibility {
@@ -85,12 +94,23 @@ class Plausibility {
  private:
   absl::Status CheckTime(const Sample& raw);
   absl::Status CheckSpeeds();
+  absl::Status CheckKilometers();
   absl::Status CheckDegrees();
+  absl::Status CheckEarthCentred();
+  // Checks positions and times, which need no convention.
+  absl::Status CheckPositions();
+  // Adds what the sample adds to the counts below.
+  void Count(const Sample& raw);
+  void CountStep(const Sample& raw);
   absl::Status CheckReadings(bool complete);
   absl::Status CheckYaw(bool complete);
   absl::Status Suspicious(const std::string& seen,
                           const std::string& mend) const;
   std::string MendOf() const;
+  // The reading that fits best as it is, and what fits best with a turned body,
+  // preferably by the conventions that were given; null and empty if none does.
+  const Reading* BestReading() const;
+  std::string BestTurn(double* spread_degrees) const;
 
   const std::string path_;
   // The given one first, then those that another flag would give.
@@ -103,6 +123,14 @@ class Plausibility {
   std::int64_t timed_ = 0;
   std::int64_t fast_ = 0;
   double path_length_ = 0.0;
+  std::int64_t slow_ = 0;
+  double slow_seconds_ = 0.0;
+  // Over every tenth sample: as long as the path if that is smooth.
+  double coarse_length_ = 0.0;
+  std::optional<Sample> coarse_;
+  // From the origin of the frame to the nearest and to the farthest position.
+  double least_radius_ = 0.0;
+  double largest_radius_ = 0.0;
   bool geodetic_ = false;
   double low_[2] = {};
   double high_[2] = {};

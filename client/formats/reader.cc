@@ -61,7 +61,8 @@ absl::StatusOr<Format> FormatOf(Lines* lines, const ReaderOptions& options) {
       lines->path(), ":1: the format is none that is known by its beginning ",
       Quoted(line),
       "; --columns t=NAME,x=NAME,y=NAME,yaw=NAME reads a file whose first line "
-      "names columns, --format says what else it is"));
+      "names columns, t=1,x=2,y=3,yaw=4 one without names, --format says what "
+      "else it is"));
 }
 
 // Times from a file of their own, or at a rate.
@@ -95,6 +96,8 @@ class TimedReader : public SampleReader {
     return sample;
   }
 
+  LeftOut left_out() const override { return reader_->left_out(); }
+
  private:
   const std::unique_ptr<SampleReader> reader_;
   // Null for a rate.
@@ -124,8 +127,12 @@ class PreparedReader : public SampleReader {
     if (!sample.ok()) return sample;
     if (!sample->has_value()) {
       if (!any_) {
-        return absl::InvalidArgumentError(
-            absl::StrCat(path_, ": expected at least one pose, got none"));
+        const std::int64_t wrong = reader_->left_out().wrong_checksums;
+        return absl::InvalidArgumentError(absl::StrCat(
+            path_, ": expected at least one pose, got none",
+            wrong > 0 ? absl::StrCat(" and ", wrong,
+                                     " sentences with a wrong checksum")
+                      : ""));
       }
       if (plausibility_.has_value()) {
         if (absl::Status status = plausibility_->Finish(); !status.ok()) {
@@ -147,6 +154,8 @@ class PreparedReader : public SampleReader {
     if (frame_ == Frame::kLocal) converted->geodetic.reset();
     return std::optional<Sample>(*std::move(converted));
   }
+
+  LeftOut left_out() const override { return reader_->left_out(); }
 
  private:
   absl::Status Error(const Sample& sample, const absl::Status& status) const {

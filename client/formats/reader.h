@@ -3,13 +3,14 @@
 // file is held whole, since its edges follow its vertices.
 //
 // A malformed file is refused with INVALID_ARGUMENT and a message that names
-// file and line and says what was expected there; nothing is guessed or
-// skipped. NOT_FOUND or PERMISSION_DENIED if it cannot be opened, DATA_LOSS if
-// it cannot be read to its end. Numbers are read in the C locale, whatever the
-// process has set.
+// file and line and says what was expected there; nothing is guessed, and what
+// is skipped is counted. NOT_FOUND or PERMISSION_DENIED if it cannot be opened,
+// DATA_LOSS if it cannot be read to its end. Numbers are read in the C locale,
+// whatever the process has set.
 #ifndef REVISIT_CLIENT_FORMATS_READER_H_
 #define REVISIT_CLIENT_FORMATS_READER_H_
 
+#include <cstdint>
 #include <memory>
 #include <optional>
 #include <string>
@@ -22,19 +23,32 @@
 
 namespace revisit::client {
 
+// Counts parts of a file for which no sample stands.
+struct LeftOut {
+  // Positions without a heading at which the vehicle stood, or moved less than
+  // course.h needs for one.
+  std::int64_t standing = 0;
+  // Sentences whose checksum is wrong.
+  std::int64_t wrong_checksums = 0;
+};
+
 class SampleReader {
  public:
   virtual ~SampleReader() = default;
   // The next sample; nothing at the end. After an error or the end, further
   // calls have no meaning.
   virtual absl::StatusOr<std::optional<Sample>> Next() = 0;
+  // The parts of the file that were left out so far.
+  virtual LeftOut left_out() const { return {}; }
 };
 
 enum class Format {
   // Found out by the first lines.
   kByContent,
-  // Values separated by commas, semicolons or tabs; the first line names the
-  // columns, in any order. csv_reader.h has their names.
+  // Values separated by commas, semicolons, tabs or blanks; the first line
+  // names
+  // the columns, in any order, or `columns` counts them. csv_reader.h has their
+  // names.
   kDrive,
   // The format of the TUM RGB-D benchmark: lines "t x y z qx qy qz qw",
   // separated by blanks; lines that begin with '#' are comments.
@@ -45,6 +59,7 @@ enum class Format {
   // Vertices of a g2o file, VERTEX_SE2 or VERTEX_SE3:QUAT, by their ids; other
   // elements are passed over. The information of the edges between
   // neighbouring vertices becomes covariances, composed from the first vertex.
+  // Without vertices, the edges are composed to poses as well.
   kG2o,
   // Solutions of RTKLIB (.pos): latitude and longitude in degrees.
   kRtklib,
@@ -69,8 +84,9 @@ enum class Frame {
 
 struct ReaderOptions {
   Format format = Format::kByContent;
-  // kDrive: which columns to read, such as "t=time,x=east,y=north,yaw=psi".
-  // Without it, the columns have the names of csv_reader.h.
+  // kDrive: which columns to read, such as "t=time,x=east,y=north,yaw=psi", or
+  // "t=1,x=2,y=3,yaw=4" for a file without names. Without it, the columns have
+  // the names of csv_reader.h.
   std::string columns;
   TimeUnit time_unit = TimeUnit::kByMagnitude;
   // For files without times: a file with one of them for each pose, or poses

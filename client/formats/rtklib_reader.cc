@@ -101,6 +101,30 @@ class RtklibReader : public SampleReader {
         Quoted(std::string(date) + " " + std::string(time)));
   }
 
+  // `get` reads the column of a name.
+  template <typename Get>
+  void ReadDeviations(const Get& get, Sample* sample) const {
+    // Deviations of 0 state nothing.
+    if (has_deviations_ && get("sde(m)") > 0.0 && get("sdn(m)") > 0.0) {
+      sample->position_covariance = {SignedSquare(get("sde(m)")),
+                                     SignedSquare(get("sdne(m)")),
+                                     SignedSquare(get("sdn(m)"))};
+    }
+    if (has_height_deviations_ && get("sdu(m)") > 0.0) {
+      sample->height_covariance = {SignedSquare(get("sdeu(m)")),
+                                   SignedSquare(get("sdun(m)")),
+                                   SignedSquare(get("sdu(m)"))};
+    }
+    if (has_velocity_) {
+      sample->velocity = {get("ve(m/s)"), get("vn(m/s)"), std::nullopt};
+      if (has_velocity_deviations_ && get("sdve") > 0.0 && get("sdvn") > 0.0) {
+        sample->velocity->covariance = {SignedSquare(get("sdve")),
+                                        SignedSquare(get("sdvne")),
+                                        SignedSquare(get("sdvn"))};
+      }
+    }
+  }
+
   absl::StatusOr<std::optional<Sample>> ReadEpoch(std::string_view line) {
     if (columns_.empty()) {
       return lines_->Error(
@@ -128,25 +152,7 @@ class RtklibReader : public SampleReader {
     sample.has_heading = false;
     sample.geodetic = {get("latitude(deg)"), get("longitude(deg)"),
                        get("height(m)")};
-    // Deviations of 0 state nothing.
-    if (has_deviations_ && get("sde(m)") > 0.0 && get("sdn(m)") > 0.0) {
-      sample.position_covariance = {SignedSquare(get("sde(m)")),
-                                    SignedSquare(get("sdne(m)")),
-                                    SignedSquare(get("sdn(m)"))};
-    }
-    if (has_height_deviations_ && get("sdu(m)") > 0.0) {
-      sample.height_covariance = {SignedSquare(get("sdeu(m)")),
-                                  SignedSquare(get("sdun(m)")),
-                                  SignedSquare(get("sdu(m)"))};
-    }
-    if (has_velocity_) {
-      sample.velocity = {get("ve(m/s)"), get("vn(m/s)"), std::nullopt};
-      if (has_velocity_deviations_ && get("sdve") > 0.0 && get("sdvn") > 0.0) {
-        sample.velocity->covariance = {SignedSquare(get("sdve")),
-                                       SignedSquare(get("sdvne")),
-                                       SignedSquare(get("sdvn"))};
-      }
-    }
+    ReadDeviations(get, &sample);
     if (!error.ok()) return error;
     if (absl::Status status = CheckPose(sample, *lines_); !status.ok()) {
       return status;

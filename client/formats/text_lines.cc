@@ -1,5 +1,6 @@
 #include "client/formats/text_lines.h"
 
+#include <algorithm>
 #include <charconv>
 #include <cmath>
 #include <system_error>
@@ -15,6 +16,22 @@ constexpr std::size_t kPeekedBytes = 1 << 16;
 constexpr std::size_t kReadBytes = 1 << 16;
 constexpr std::string_view kBlanks = " \t";
 constexpr std::string_view kByteOrderMark = "\xef\xbb\xbf";
+// Lines that have to agree on the decimals of their last numbers.
+constexpr std::int64_t kLinesBeforeCut = 10;
+
+bool IsDigit(char c) { return c >= '0' && c <= '9'; }
+
+// Decimals of the number at the end of a line; 0 also without one.
+std::size_t DecimalsAtEnd(std::string_view line) {
+  std::size_t begin = line.size();
+  while (begin > 0 && IsDigit(line[begin - 1])) --begin;
+  return begin > 0 && line[begin - 1] == '.' ? line.size() - begin : 0;
+}
+
+std::string_view WithoutCarriageReturn(std::string_view line) {
+  if (!line.empty() && line.back() == '\r') line.remove_suffix(1);
+  return line;
+}
 
 }  // namespace
 
@@ -56,8 +73,9 @@ bool Lines::Next(std::string_view* line) {
           begin_, (last ? buffer_.size() : end) - begin_);
       begin_ = last ? buffer_.size() : end + 1;
       ++number_;
-      if (!line->empty() && line->back() == '\r') line->remove_suffix(1);
-      return true;
+      *line = WithoutCarriageReturn(*line);
+      LookForCut(*line, !last);
+      return status_.ok();
     }
     const std::size_t length = buffer_.size() - begin_;
     if (length > kLongestLine) {
@@ -85,12 +103,37 @@ std::string_view Lines::PeekFirstLine() {
       if (!status_.ok()) return {};
     }
     const std::string_view line =
-        WithoutBlanks(std::string_view(buffer_).substr(
-            from, end == std::string::npos ? end : end - from));
-    if (!line.empty() && line != "\r" && line[0] != '#') return line;
+        WithoutBlanks(WithoutCarriageReturn(std::string_view(buffer_).substr(
+            from, end == std::string::npos ? end : end - from)));
+    if (!line.empty() && line[0] != '#') return line;
     if (end == std::string::npos) return {};
     from = end + 1;
   }
+}
+
+void Lines::LookForCut(std::string_view line, bool has_end) {
+  // A text that has begun without decimals may go on so.
+  if (looked_at_ > 0 && least_decimals_ == 0) return;
+  if (line.empty() ||
+      !(IsDigit(line.back()) || line.back() == '.' || line.back() == '-')) {
+    return;
+  }
+  const std::size_t decimals = DecimalsAtEnd(line);
+  if (!has_end && looked_at_ >= kLinesBeforeCut && decimals < least_decimals_) {
+    status_ = Error(absl::StrCat(
+        "the text ends in the middle of a number: the lines before have at "
+        "least ",
+        least_decimals_, " decimals at their ends, and this one, ",
+        Quoted(
+            line.substr(line.size() - std::min<std::size_t>(line.size(), 16))),
+        ", has no end; if it is whole, end the line"));
+    return;
+  }
+  // Lines of names and of whole numbers, at the beginning, do not count.
+  if (looked_at_ == 0 && decimals == 0) return;
+  least_decimals_ =
+      looked_at_ == 0 ? decimals : std::min(least_decimals_, decimals);
+  ++looked_at_;
 }
 
 std::string_view Lines::NextChunk() {

@@ -16,8 +16,11 @@
 
 namespace revisit::client {
 
-// The lines of a text, counted, without a byte order mark at its beginning.
-// Lines of more than a mebibyte are an error.
+// The lines of a text, counted, without a byte order mark at its beginning and
+// without their ends, LF or CR LF. Lines of more than a mebibyte are an error,
+// and so is a text that ends in the middle of a number, as a copy that was cut
+// does: its last line has no end, and its last number fewer decimals than that
+// of any line before.
 class Lines {
  public:
   // `path` is for messages.
@@ -48,12 +51,17 @@ class Lines {
   // Reads more behind what is there; false at the end or after an error.
   bool Fill();
   void SkipByteOrderMark();
+  // Sets an error if a line that was read is cut.
+  void LookForCut(std::string_view line, bool has_end);
 
   const std::unique_ptr<ByteSource> source_;
   const std::string path_;
   std::string buffer_;
   std::size_t begin_ = 0;
   std::int64_t number_ = 0;
+  // Fewest decimals of a line's last number, and lines that were looked at.
+  std::size_t least_decimals_ = 0;
+  std::int64_t looked_at_ = 0;
   bool at_start_ = true;
   bool ended_ = false;
   absl::Status status_;

@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_replace.h"
 #include "client/formats/angles.h"
 #include "client/formats/plain_readers.h"
 #include "client/formats/text_lines.h"
@@ -101,6 +102,76 @@ absl::Status TimesMustGrow(const std::string& name) {
   return absl::InvalidArgumentError(name + ": expected times that grow");
 }
 
+// Names the flags in a message as those of the truth.
+absl::Status WithTruthFlags(const absl::Status& status) {
+  std::vector<std::pair<std::string, std::string>> names;
+  for (const char* word :
+       {"format", "columns", "times", "rate", "time-unit", "axes", "body-axes",
+        "body-yaw", "angles", "quaternion", "frame", "accept-suspicious"}) {
+    names.emplace_back(absl::StrCat("--", word),
+                       absl::StrCat("--truth-", word));
+  }
+  return absl::Status(status.code(),
+                      absl::StrReplaceAll(status.message(), names));
+}
+
+// The poses of a drive, whose times grow, outside the truth's times.
+WithoutTruth FindWithoutTruth(const std::vector<TruthPose>& truth,
+                              const std::vector<Sample>& samples) {
+  const auto before = [](const Sample& sample, std::int64_t time) {
+    return *sample.time_nanoseconds < time;
+  };
+  const auto after = [](std::int64_t time, const Sample& sample) {
+    return time < *sample.time_nanoseconds;
+  };
+  const std::int64_t first = *truth.front().time_nanoseconds;
+  const std::int64_t last = *truth.back().time_nanoseconds;
+  const auto begin =
+      std::lower_bound(samples.begin(), samples.end(), first, before);
+  const auto end = std::upper_bound(begin, samples.end(), last, after);
+  const auto seconds = [](std::int64_t a, std::int64_t b) {
+    return 1e-9 * (static_cast<double>(b) - static_cast<double>(a));
+  };
+  WithoutTruth without;
+  without.poses_before = static_cast<std::size_t>(begin - samples.begin());
+  without.poses_after = static_cast<std::size_t>(samples.end() - end);
+  if (without.poses_before > 0) {
+    without.seconds_before = seconds(*samples.front().time_nanoseconds, first);
+  }
+  if (without.poses_after > 0) {
+    without.seconds_after = seconds(last, *samples.back().time_nanoseconds);
+  }
+  return without;
+}
+
+absl::Status CheckTimes(const std::vector<TruthPose>& truth,
+                        const Drive& drive) {
+  for (std::size_t i = 1; i < truth.size(); ++i) {
+    if (!(truth[i].time_nanoseconds > truth[i - 1].time_nanoseconds)) {
+      return TimesMustGrow(drive.name + ", truth");
+    }
+  }
+  for (std::size_t i = 1; i < drive.samples.size(); ++i) {
+    if (!(drive.samples[i].time_nanoseconds >
+          drive.samples[i - 1].time_nanoseconds)) {
+      return TimesMustGrow(drive.name);
+    }
+  }
+  return absl::OkStatus();
+}
+
+absl::Status TruthIsElsewhere(const std::vector<TruthPose>& truth,
+                              const Drive& drive, const WithoutTruth& without) {
+  return absl::InvalidArgumentError(
+      absl::StrCat(drive.name, ": ", without.poses_before + without.poses_after,
+                   " of ", drive.samples.size(), " poses, whose times are ",
+                   SecondsText(*drive.samples.front().time_nanoseconds), " to ",
+                   SecondsText(*drive.samples.back().time_nanoseconds),
+                   " s, lie outside the truth's times, ",
+                   SecondsText(*truth.front().time_nanoseconds), " to ",
+                   SecondsText(*truth.back().time_nanoseconds), " s"));
+}
+
 absl::Status AddByIndex(const std::vector<TruthPose>& truth, Drive* drive) {
   if (truth.size() != drive->samples.size()) {
     return absl::InvalidArgumentError(absl::StrCat(
@@ -153,22 +224,25 @@ absl::StatusOr<std::vector<TruthPose>> ReadReference(
 }
 
 absl::StatusOr<std::vector<TruthPose>> ReadTruth(
-    const std::string& path, const std::optional<GeodeticPosition>& origin) {
-  auto source = OpenBytes(path, nullptr);
-  if (!source.ok()) return source.status();
-  Lines lines(*std::move(source), path);
-  const bool reference =
-      lines.PeekFirstLine().find("GPS TOW (s)") != std::string_view::npos;
-  if (!lines.status().ok()) return lines.status();
-  if (reference) {
-    auto again = OpenBytes(path, nullptr);
-    if (!again.ok()) return again.status();
-    return ReadReference(*std::move(again), path, origin);
+    const std::string& path, const ReaderOptions& options,
+    const std::optional<GeodeticPosition>& origin) {
+  if (options.format == Format::kByContent && options.columns.empty()) {
+    auto source = OpenBytes(path, nullptr);
+    if (!source.ok()) return source.status();
+    Lines lines(*std::move(source), path);
+    const bool reference =
+        lines.PeekFirstLine().find("GPS TOW (s)") != std::string_view::npos;
+    if (!lines.status().ok()) return lines.status();
+    if (reference) {
+      auto again = OpenBytes(path, nullptr);
+      if (!again.ok()) return again.status();
+      return ReadReference(*std::move(again), path, origin);
+    }
   }
-  ReaderOptions options;
-  options.origin = origin;
-  const auto drive = ReadDriveFile(path, options);
-  if (!drive.ok()) return drive.status();
+  ReaderOptions from_origin = options;
+  from_origin.origin = origin;
+  const auto drive = ReadDriveFile(path, from_origin);
+  if (!drive.ok()) return WithTruthFlags(drive.status());
   std::vector<TruthPose> truth;
   for (const Sample& sample : drive->samples) {
     truth.push_back({sample.time_nanoseconds, sample.estimate});
@@ -176,38 +250,39 @@ absl::StatusOr<std::vector<TruthPose>> ReadTruth(
   return truth;
 }
 
-absl::Status AddTruth(const std::vector<TruthPose>& truth, Drive* drive) {
-  const bool timed = drive->samples[0].time_nanoseconds.has_value();
+absl::StatusOr<WithoutTruth> AddTruth(const std::vector<TruthPose>& truth,
+                                      Drive* drive) {
+  std::vector<Sample>& samples = drive->samples;
+  const bool timed = samples[0].time_nanoseconds.has_value();
   if (truth.empty() || truth[0].time_nanoseconds.has_value() != timed) {
     return absl::InvalidArgumentError(
         drive->name +
-        ": expected times in both the file and its truth, or in neither");
+        ": expected times in both the file and its truth, or in neither "
+        "(--rate and --times, --truth-rate and --truth-times give them)");
   }
-  if (!timed) return AddByIndex(truth, drive);
-  for (std::size_t i = 1; i < truth.size(); ++i) {
-    if (!(truth[i].time_nanoseconds > truth[i - 1].time_nanoseconds)) {
-      return TimesMustGrow(drive->name + ", truth");
+  if (!timed) {
+    if (absl::Status status = AddByIndex(truth, drive); !status.ok()) {
+      return status;
     }
+    return WithoutTruth();
   }
-  const std::int64_t first = *truth.front().time_nanoseconds;
-  const std::int64_t last = *truth.back().time_nanoseconds;
-  std::vector<PlanarPose> poses;
-  std::optional<std::int64_t> previous;
-  for (const Sample& sample : drive->samples) {
-    if (!(sample.time_nanoseconds > previous)) {
-      return TimesMustGrow(drive->name);
-    }
-    previous = sample.time_nanoseconds;
-    if (*previous < first || *previous > last) {
-      return absl::InvalidArgumentError(
-          absl::StrCat(drive->name, ": an epoch at ", SecondsText(*previous),
-                       " s lies outside the reference's times, ",
-                       SecondsText(first), " to ", SecondsText(last), " s"));
-    }
-    poses.push_back(Interpolate(truth, *previous));
+  if (absl::Status status = CheckTimes(truth, *drive); !status.ok()) {
+    return status;
   }
-  drive->truth = std::move(poses);
-  return absl::OkStatus();
+  const WithoutTruth without = FindWithoutTruth(truth, samples);
+  if (2 * (without.poses_before + without.poses_after) > samples.size()) {
+    return TruthIsElsewhere(truth, *drive, without);
+  }
+  samples.erase(
+      samples.end() - static_cast<std::ptrdiff_t>(without.poses_after),
+      samples.end());
+  samples.erase(samples.begin(), samples.begin() + static_cast<std::ptrdiff_t>(
+                                                       without.poses_before));
+  drive->truth.clear();
+  for (const Sample& sample : samples) {
+    drive->truth.push_back(Interpolate(truth, *sample.time_nanoseconds));
+  }
+  return without;
 }
 
 }  // namespace revisit::client

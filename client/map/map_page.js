@@ -28,15 +28,37 @@ const toPixels = (x, y) => [
   canvas.clientHeight / 2 - (y - view.y) * view.scale];
 const atNode = (i) => toPixels(nodes.x[i], nodes.y[i]);
 
+// Parts of the window that neither the title nor the legend covers, beside it
+// and above it, if they are large enough; the whole window last.
+function freeParts() {
+  const [width, height] = [canvas.clientWidth, canvas.clientHeight];
+  const head = byId("head").getBoundingClientRect();
+  const legend = byId("legend").getBoundingClientRect();
+  const zoomTop = byId("zoom").getBoundingClientRect().top - 40;
+  const parts = [
+    { left: legend.right, top: head.bottom, right: width, bottom: zoomTop },
+    { left: 0, top: head.bottom, right: width, bottom: Math.min(legend.top, zoomTop) }];
+  return parts.filter((p) => p.right - p.left > 100 && p.bottom - p.top > 100)
+    .concat([{ left: 0, top: 0, right: width, bottom: height }]);
+}
+
 function fit() {
   let [west, east, south, north] = [Infinity, -Infinity, Infinity, -Infinity];
   for (let i = 0; i < nodes.x.length; ++i) {
     west = Math.min(west, nodes.x[i]); east = Math.max(east, nodes.x[i]);
     south = Math.min(south, nodes.y[i]); north = Math.max(north, nodes.y[i]);
   }
-  view = { x: (west + east) / 2, y: (south + north) / 2,
-           scale: 0.86 * Math.min(canvas.clientWidth / Math.max(east - west, 1),
-                                  canvas.clientHeight / Math.max(north - south, 1)) };
+  const scaleIn = (part) =>
+    0.9 * Math.min((part.right - part.left) / Math.max(east - west, 1),
+                   (part.bottom - part.top) / Math.max(north - south, 1));
+  const free = freeParts();
+  const part = free.length === 1 ? free[0]
+    : free.slice(0, -1).reduce((a, b) => (scaleIn(b) > scaleIn(a) ? b : a));
+  const scale = scaleIn(part);
+  // What lies in the middle of the part lies beside the middle of the window.
+  view = { x: (west + east) / 2 + (canvas.clientWidth - part.left - part.right) / 2 / scale,
+           y: (south + north) / 2 - (canvas.clientHeight - part.top - part.bottom) / 2 / scale,
+           scale };
   draw();
 }
 
@@ -61,6 +83,34 @@ function path(xs, ys, color, width) {
   pen.strokeStyle = color;
   pen.lineWidth = width;
   pen.stroke();
+}
+
+// Where the vehicle goes: heads of arrows along the path, some way apart on the
+// screen.
+function arrows() {
+  const [apart, step] = [150, 6];
+  let since = apart / 2;
+  let [px, py] = atNode(0);
+  pen.fillStyle = colors.estimate;
+  for (let i = 1; i < nodes.x.length; ++i) {
+    const [x, y] = atNode(i);
+    if (nodes.cut[i]) [px, py] = [x, y];
+    const [dx, dy] = [x - px, y - py];
+    const length = Math.hypot(dx, dy);
+    if (length < step) continue;
+    since += length;
+    if (since >= apart) {
+      since = 0;
+      const [ux, uy] = [dx / length, dy / length];
+      const [mx, my] = [(x + px) / 2, (y + py) / 2];
+      pen.beginPath();
+      pen.moveTo(mx + 7 * ux, my + 7 * uy);
+      pen.lineTo(mx - 5 * ux - 5 * uy, my - 5 * uy + 5 * ux);
+      pen.lineTo(mx - 5 * ux + 5 * uy, my - 5 * uy - 5 * ux);
+      pen.fill();
+    }
+    [px, py] = [x, y];
+  }
 }
 
 function line(from, to, color, width, dash) {
@@ -188,6 +238,7 @@ function draw() {
   if (truth && shown.truth) path(truth.x, truth.y, colors.truth, 1.2);
   const size = markSize();
   path(nodes.x, nodes.y, colors.estimate, 0.8 + 1.2 * size);
+  arrows();
   if (shown.rejections) rejections.forEach((p) => pair(p.query, p.matched, false));
   if (shown.closures) closures.forEach((p) => pair(p.query, p.matched, true));
   for (const check of visible) {

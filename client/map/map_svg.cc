@@ -121,6 +121,7 @@ class Drawing {
     }
     Polyline([&](std::size_t i) { return nodes[i].at; }, kMapEstimate,
              0.8 + 1.2 * view_.mark_size);
+    DrawArrows();
     for (const MapPair& pair : contents_.rejections) {
       DrawPair(AtNode(pair.query), AtNode(pair.matched), false,
                view_.mark_size);
@@ -174,6 +175,40 @@ class Drawing {
       last = at;
     }
     svg_ += "\"/>\n";
+  }
+
+  // Where the vehicle goes: heads of arrows along the path, some way apart.
+  void DrawArrows() {
+    constexpr double kApart = 150.0;
+    constexpr double kStep = 6.0;
+    double since = 0.5 * kApart;
+    PixelPoint last = AtNode(0);
+    for (std::size_t i = 1; i < contents_.nodes.size(); ++i) {
+      const PixelPoint at = AtNode(i);
+      if (IsCutBefore(contents_.nodes, i)) last = at;
+      const double length = std::hypot(at.x - last.x, at.y - last.y);
+      if (length < kStep) continue;
+      since += length;
+      if (since >= kApart) {
+        since = 0.0;
+        DrawArrow({0.5 * (at.x + last.x), 0.5 * (at.y + last.y)},
+                  {(at.x - last.x) / length, (at.y - last.y) / length});
+      }
+      last = at;
+    }
+  }
+
+  // `ahead` has length 1.
+  void DrawArrow(const PixelPoint& at, const PixelPoint& ahead) {
+    constexpr double kHead = 7.0;
+    constexpr double kTail = 5.0;
+    const auto corner = [&](double forward, double left) {
+      return SvgNumber(at.x + forward * ahead.x + left * ahead.y) + " " +
+             SvgNumber(at.y + forward * ahead.y - left * ahead.x);
+    };
+    svg_ += "<path class=\"arrow\" fill=\"" + std::string(kMapEstimate) +
+            "\" d=\"M" + corner(kHead, 0.0) + "L" + corner(-kTail, kTail) +
+            "L" + corner(-kTail, -kTail) + "Z\"/>\n";
   }
 
   void DrawGrid() {

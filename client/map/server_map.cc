@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cstdint>
+#include <optional>
 #include <thread>
 #include <utility>
 #include <vector>
@@ -117,6 +118,40 @@ MapCandidate CandidateOf(const v1::Candidate& candidate) {
   return shown;
 }
 
+// A check as it was answered, at the node where it was asked for unless the
+// answer names another; nothing if it names one that is not among `nodes`.
+std::optional<MapCheck> MakeCheck(const v1::CandidateSet& set, std::size_t node,
+                                  std::size_t nodes) {
+  MapCheck check;
+  check.node =
+      set.has_query() ? static_cast<std::size_t>(set.query().index()) : node;
+  check.style = StyleOf(set);
+  if (set.candidates().empty()) {
+    check.empty_reason = Explain(set.empty_reason());
+  }
+  for (const v1::Candidate& candidate : set.candidates()) {
+    check.candidates.push_back(CandidateOf(candidate));
+  }
+  const bool known =
+      check.node < nodes &&
+      std::all_of(check.candidates.begin(), check.candidates.end(),
+                  [&](const MapCandidate& c) { return c.node < nodes; });
+  if (!known) return std::nullopt;
+  return check;
+}
+
+void Name(const std::string& vehicle, ServerMap* map) {
+  MapContents& contents = map->contents;
+  contents.title = absl::StrCat(
+      map->vehicle.display_name().empty()
+          ? vehicle
+          : absl::StrCat(map->vehicle.display_name(), " (", vehicle, ")"));
+  contents.subtitle =
+      absl::StrCat(Fixed(contents.nodes.back().travelled_meters / 1000.0, 1),
+                   " km, ", map->vehicle.durable_sequence(),
+                   " poses, revision ", map->vehicle.revision());
+}
+
 // The nodes at which a stream's checks fall due.
 std::vector<std::size_t> CheckNodes(const std::vector<MapNode>& nodes,
                                     double first_meters,
@@ -209,14 +244,7 @@ absl::StatusOr<ServerMap> ReadServerMap(const Client& client,
   }
   contents.closures = PairsOf(*closures, contents.nodes);
   contents.rejections = PairsOf(*rejections, contents.nodes);
-  contents.title = absl::StrCat(
-      map.vehicle.display_name().empty()
-          ? vehicle
-          : absl::StrCat(map.vehicle.display_name(), " (", vehicle, ")"));
-  contents.subtitle =
-      absl::StrCat(Fixed(contents.nodes.back().travelled_meters / 1000.0, 1),
-                   " km, ", map.vehicle.durable_sequence(), " poses, revision ",
-                   map.vehicle.revision());
+  Name(vehicle, &map);
   return map;
 }
 
@@ -245,28 +273,13 @@ absl::Status AddChecks(const Client& client, const CheckSearches& searches,
     request.set_sequence(contents.nodes[at[i]].sequence);
     const auto set = Search(client, request);
     if (!set.ok()) return set.status();
-    MapCheck check;
-    check.node = set->has_query()
-                     ? static_cast<std::size_t>(set->query().index())
-                     : at[i];
-    check.style = StyleOf(*set);
-    if (set->candidates().empty()) {
-      check.empty_reason = Explain(set->empty_reason());
-    }
-    for (const v1::Candidate& candidate : set->candidates()) {
-      check.candidates.push_back(CandidateOf(candidate));
-    }
-    const auto known = [&](std::size_t node) {
-      return node < contents.nodes.size();
-    };
-    if (!known(check.node) ||
-        !std::all_of(check.candidates.begin(), check.candidates.end(),
-                     [&](const MapCandidate& c) { return known(c.node); })) {
+    auto check = MakeCheck(*set, at[i], contents.nodes.size());
+    if (!check.has_value()) {
       return LocalError(absl::AbortedError(
           absl::StrCat(map->vehicle.name(),
                        ": the graph was rebuilt meanwhile; try again")));
     }
-    contents.checks.push_back(std::move(check));
+    contents.checks.push_back(*std::move(check));
     progress.Update(i + 1);
   }
   CountStyles(&contents);

@@ -36,6 +36,20 @@ std::string HintOf(const absl::Status& status) {
   return hint.has_value() ? std::string(*hint) : "";
 }
 
+// "1:02:05 left", or "2:05 left" within the hour.
+std::string TimeLeft(double seconds) {
+  constexpr double kMost = 1e7;
+  const auto whole = static_cast<std::int64_t>(std::min(seconds, kMost));
+  const auto two = [](std::int64_t value) {
+    return absl::StrCat(value < 10 ? "0" : "", value);
+  };
+  const std::int64_t hours = whole / 3600;
+  const std::int64_t minutes = whole / 60 % 60;
+  return absl::StrCat(hours > 0 ? absl::StrCat(hours, ":", two(minutes))
+                                : absl::StrCat(minutes),
+                      ":", two(whole % 60), " left");
+}
+
 using Json = nlohmann::ordered_json;
 
 // Makes numbers of the texts as which protobuf writes whole numbers of 64 bits.
@@ -81,8 +95,11 @@ std::size_t TerminalWidth(int descriptor) {
 }
 
 absl::Status WithHint(const absl::Status& status, const std::string& hint) {
+  const std::string before = HintOf(status);
   absl::Status with_hint = status;
-  with_hint.SetPayload(kHintUrl, absl::Cord(hint));
+  with_hint.SetPayload(
+      kHintUrl,
+      absl::Cord(absl::StrCat(before, before.empty() ? "" : "\n", hint)));
   return with_hint;
 }
 
@@ -223,9 +240,13 @@ void Progress::Draw() {
       std::chrono::duration<double>(Clock::now() - start_).count();
   const double rate =
       seconds > 0.0 ? static_cast<double>(done_) / seconds : 0.0;
-  const std::string figures =
+  std::string figures =
       absl::StrCat(done_, total_ == 0 ? "" : absl::StrCat("/", total_).c_str(),
                    " ", unit_, "  ", Fixed(rate, 0), "/s");
+  if (done_ < total_ && rate > 0.0) {
+    absl::StrAppend(&figures, "  ",
+                    TimeLeft(static_cast<double>(total_ - done_) / rate));
+  }
   if (total_ == 0) {
     out_ << (terminal_ ? "\r\x1b[K" : "") << label_ << ": " << figures
          << (terminal_ ? "" : "\n") << std::flush;

@@ -44,7 +44,7 @@ inline constexpr int kExitUsage = 64;
 inline constexpr int kExitInterrupted = 130;
 
 // Adds to an error what whoever reads it can do next: a line of its own below
-// the message, "hint" in the JSON.
+// the message, and below a hint that it has, "hint" in the JSON.
 absl::Status WithHint(const absl::Status& status, const std::string& hint);
 
 // A wrong usage of the command line, in words of its own.

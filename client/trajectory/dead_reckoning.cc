@@ -53,6 +53,13 @@ void Scale(double factor, ClaimedUncertainty* claim) {
 
 }  // namespace
 
+UncertaintyOptions::Source DefaultSource(const std::deque<Sample>& first,
+                                         bool is_filter) {
+  return first.front().heading_variance.has_value() || is_filter
+             ? UncertaintyOptions::Source::kFixes
+             : UncertaintyOptions::Source::kModel;
+}
+
 UncertaintyClaims::UncertaintyClaims(const UncertaintyOptions& options,
                                      std::string name)
     : options_(options), name_(std::move(name)) {
@@ -70,34 +77,42 @@ void UncertaintyClaims::ContinueFrom(const PlanarPose& pose,
   for (double& entry : carried_) entry /= scale;
 }
 
+std::string UncertaintyClaims::PlaceOf(const Sample& sample) const {
+  return sample.line > 0 ? absl::StrCat(name_, ":", sample.line) : name_;
+}
+
+absl::StatusOr<Symmetric> UncertaintyClaims::StatedBy(
+    const Sample& sample) const {
+  if (sample.covariance.has_value()) return *sample.covariance;
+  const bool fixes = options_.source == UncertaintyOptions::Source::kFixes;
+  if (fixes &&
+      (sample.heading_variance.has_value() || sample.geodetic.has_value())) {
+    const double position = options_.fix_position * options_.fix_position;
+    const double heading = options_.start_heading * options_.start_heading;
+    return Symmetric{position, 0.0, 0.0,
+                     position, 0.0, sample.heading_variance.value_or(heading)};
+  }
+  return absl::InvalidArgumentError(absl::StrCat(
+      PlaceOf(sample),
+      ": has no covariance (columns pxx, pxy, pxt, pyy, pyt, ptt, or what "
+      "the format has in their place); --uncertainty model makes one"));
+}
+
 absl::Status UncertaintyClaims::FromFile(const Sample& sample,
                                          ClaimedUncertainty* claim) const {
-  const auto place = [&] {
-    return sample.line > 0 ? absl::StrCat(name_, ":", sample.line) : name_;
-  };
   const bool fixes = options_.source == UncertaintyOptions::Source::kFixes;
-  std::array<double, 6> covariance;
-  if (sample.covariance.has_value()) {
-    covariance = *sample.covariance;
-  } else if (fixes && sample.heading_variance.has_value()) {
-    const double variance = options_.fix_position * options_.fix_position;
-    covariance = {variance, 0.0, 0.0, variance, 0.0, *sample.heading_variance};
-    claim->z_variance = variance;
-  } else {
-    return absl::InvalidArgumentError(absl::StrCat(
-        place(),
-        ": has no covariance (columns pxx, pxy, pxt, pyy, pyt, ptt, or what "
-        "the format has in their place); --uncertainty model makes one"));
-  }
-  const auto& [xx, xy, xh, yy, yh, hh] = covariance;
+  const auto covariance = StatedBy(sample);
+  if (!covariance.ok()) return covariance.status();
+  if (!sample.covariance.has_value()) claim->z_variance = (*covariance)[0];
+  const auto& [xx, xy, xh, yy, yh, hh] = *covariance;
   if (fixes && !(xx > 0.0 && yy > 0.0 && hh > 0.0)) {
     return absl::InvalidArgumentError(absl::StrCat(
-        place(), ": expected positive variances of a fix, got ", xx, ", ", yy,
-        " and ", hh,
+        PlaceOf(sample), ": expected positive variances of a fix, got ", xx,
+        ", ", yy, " and ", hh,
         "; --uncertainty file adds those of the start, --uncertainty model "
         "makes all"));
   }
-  claim->planar = fixes ? covariance : Sum(carried_, covariance);
+  claim->planar = fixes ? *covariance : Sum(carried_, *covariance);
   if (sample.covariance_36.has_value()) {
     const auto& c = *sample.covariance_36;
     const double zz = c[14];

@@ -16,6 +16,7 @@
 #define REVISIT_CLIENT_TRAJECTORY_DEAD_RECKONING_H_
 
 #include <array>
+#include <deque>
 #include <optional>
 #include <string>
 #include <vector>
@@ -35,7 +36,8 @@ struct UncertaintyOptions {
     kFile,
     // The file's covariances as they are: each pose is a fix of its own, or the
     // file has error transitions. Positions without a covariance have
-    // `fix_position`.
+    // `fix_position`, and headings that geodetic ones have beside them
+    // `start_heading`.
     kFixes,
   };
   Source source = Source::kModel;
@@ -53,6 +55,11 @@ struct UncertaintyOptions {
   // says: 0.5 is a filter that is overconfident by two. Positive.
   double claimed_scale = 1.0;
 };
+
+// The source where nobody names one, by the first samples of a recording and
+// whether its vehicle takes error transitions. REQUIRES: a sample.
+UncertaintyOptions::Source DefaultSource(const std::deque<Sample>& first,
+                                         bool is_filter);
 
 struct ClaimedUncertainty {
   // xx, xy, xh, yy, yh, hh.
@@ -80,6 +87,10 @@ class UncertaintyClaims {
   absl::StatusOr<ClaimedUncertainty> Next(const Sample& sample);
 
  private:
+  // The file and line of a sample, for messages.
+  std::string PlaceOf(const Sample& sample) const;
+  // The covariance that the file states, or that fixes without one have.
+  absl::StatusOr<std::array<double, 6>> StatedBy(const Sample& sample) const;
   absl::Status FromFile(const Sample& sample, ClaimedUncertainty* claim) const;
 
   const UncertaintyOptions options_;

@@ -7,40 +7,38 @@
 #include "client/formats/times.h"
 #include "client/terminal/terminal.h"
 #include "client/trajectory/local_pose.h"
+#include "google/protobuf/timestamp.pb.h"
 
 namespace revisit::client {
 
-v1::Pose MakePose(const Sample& sample, const ClaimedUncertainty& uncertainty,
-                  v1::StateSpace state_space, std::uint64_t sequence) {
-  const auto& [xx, xy, xh, yy, yh, hh] = uncertainty.planar;
-  v1::Pose pose;
-  pose.set_sequence(sequence);
-  if (sample.time_nanoseconds.has_value()) {
-    const std::int64_t time = *sample.time_nanoseconds;
-    const std::int64_t nanos =
-        (time % kNanosecondsPerSecond + kNanosecondsPerSecond) %
-        kNanosecondsPerSecond;
-    pose.mutable_stamp()->set_seconds((time - nanos) / kNanosecondsPerSecond);
-    pose.mutable_stamp()->set_nanos(static_cast<std::int32_t>(nanos));
-  }
+namespace {
+
+void SetStamp(std::int64_t time, google::protobuf::Timestamp* stamp) {
+  const std::int64_t nanos =
+      (time % kNanosecondsPerSecond + kNanosecondsPerSecond) %
+      kNanosecondsPerSecond;
+  stamp->set_seconds((time - nanos) / kNanosecondsPerSecond);
+  stamp->set_nanos(static_cast<std::int32_t>(nanos));
+}
+
+void SetPosition(const Sample& sample, v1::Pose* pose) {
   if (sample.geodetic.has_value()) {
-    v1::GeodeticPosition* geodetic = pose.mutable_geodetic();
+    v1::GeodeticPosition* geodetic = pose->mutable_geodetic();
     geodetic->set_latitude_degrees(sample.geodetic->latitude_degrees);
     geodetic->set_longitude_degrees(sample.geodetic->longitude_degrees);
     geodetic->set_height_meters(sample.geodetic->height_meters);
   } else {
-    v1::LocalPosition* local = pose.mutable_local();
+    v1::LocalPosition* local = pose->mutable_local();
     local->set_x_meters(sample.estimate.x);
     local->set_y_meters(sample.estimate.y);
     local->set_z_meters(sample.z);
   }
-  if (sample.quaternion.has_value()) {
-    SetQuaternion(*sample.quaternion, &pose);
-  } else {
-    pose.set_heading_radians(sample.estimate.heading);
-  }
-  v1::Covariance* covariance = pose.mutable_covariance();
-  if (state_space == v1::STATE_SPACE_SPATIAL) {
+}
+
+void SetCovariance(const ClaimedUncertainty& uncertainty, bool spatial,
+                   v1::Covariance* covariance) {
+  const auto& [xx, xy, xh, yy, yh, hh] = uncertainty.planar;
+  if (spatial) {
     const double zz = uncertainty.z_variance;
     const auto& [xz, yz, zh] = uncertainty.z_mixed;
     covariance->set_form(v1::COVARIANCE_FORM_SPATIAL_10);
@@ -53,6 +51,25 @@ v1::Pose MakePose(const Sample& sample, const ClaimedUncertainty& uncertainty,
       covariance->add_values(value);
     }
   }
+}
+
+}  // namespace
+
+v1::Pose MakePose(const Sample& sample, const ClaimedUncertainty& uncertainty,
+                  v1::StateSpace state_space, std::uint64_t sequence) {
+  v1::Pose pose;
+  pose.set_sequence(sequence);
+  if (sample.time_nanoseconds.has_value()) {
+    SetStamp(*sample.time_nanoseconds, pose.mutable_stamp());
+  }
+  SetPosition(sample, &pose);
+  if (sample.quaternion.has_value()) {
+    SetQuaternion(*sample.quaternion, &pose);
+  } else {
+    pose.set_heading_radians(sample.estimate.heading);
+  }
+  SetCovariance(uncertainty, state_space == v1::STATE_SPACE_SPATIAL,
+                pose.mutable_covariance());
   return pose;
 }
 

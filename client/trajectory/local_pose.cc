@@ -40,6 +40,49 @@ double HeadingOf(const Eigen::Vector3d& forward) {
   return std::atan2(forward.y(), forward.x());
 }
 
+// `turn` leads from the frame in which the pose is given to the vehicle's.
+void SetOrientation(const v1::Pose& pose, const Eigen::Matrix3d& turn,
+                    LocalPose* local) {
+  Eigen::Quaterniond orientation;
+  if (pose.has_quaternion()) {
+    const v1::Quaternion& q = pose.quaternion();
+    orientation = turn * Eigen::Quaterniond(q.w(), q.x(), q.y(), q.z())
+                             .normalized()
+                             .toRotationMatrix();
+    local->heading = HeadingOf(orientation * Eigen::Vector3d::UnitX());
+  } else {
+    const double heading = pose.heading_radians();
+    local->heading = HeadingOf(
+        turn * Eigen::Vector3d(std::cos(heading), std::sin(heading), 0.0));
+    orientation = Eigen::AngleAxisd(local->heading, Eigen::Vector3d::UnitZ());
+  }
+  local->orientation = {orientation.x(), orientation.y(), orientation.z(),
+                        orientation.w()};
+}
+
+void SetUncertainty(const v1::Pose& pose, const Eigen::Matrix3d& turn,
+                    bool spatial, LocalPose* local) {
+  // The heading's own factor differs from 1 by the curvature of the earth
+  // between the two frames, some 1e-8 over a kilometre.
+  Matrix4 jacobian = Matrix4::Identity();
+  jacobian.topLeftCorner<3, 3>() = turn;
+  if (!spatial) {
+    jacobian.row(2) = jacobian.col(2).transpose() =
+        Eigen::RowVector4d(0.0, 0.0, 1.0, 0.0);
+  }
+  StateMatrix given = StateCovariance(pose.covariance());
+  Eigen::Map<Matrix4> covariance(given.data());
+  if (!spatial) {
+    covariance.row(2).setZero();
+    covariance.col(2).setZero();
+  }
+  local->covariance = ToArray(jacobian * covariance * jacobian.transpose());
+  if (const auto transition = TransitionOf(pose, spatial)) {
+    local->error_transition =
+        ToArray(jacobian * *transition * jacobian.inverse());
+  }
+}
+
 }  // namespace
 
 StateMatrix StateCovariance(const v1::Covariance& covariance) {
@@ -139,40 +182,8 @@ LocalPose LocalFrame::Localize(const v1::Pose& pose) const {
     local.position = {pose.local().x_meters(), pose.local().y_meters(),
                       pose.local().z_meters()};
   }
-  Eigen::Quaterniond orientation;
-  if (pose.has_quaternion()) {
-    const v1::Quaternion& q = pose.quaternion();
-    orientation = turn * Eigen::Quaterniond(q.w(), q.x(), q.y(), q.z())
-                             .normalized()
-                             .toRotationMatrix();
-    local.heading = HeadingOf(orientation * Eigen::Vector3d::UnitX());
-  } else {
-    const double heading = pose.heading_radians();
-    local.heading = HeadingOf(
-        turn * Eigen::Vector3d(std::cos(heading), std::sin(heading), 0.0));
-    orientation = Eigen::AngleAxisd(local.heading, Eigen::Vector3d::UnitZ());
-  }
-  local.orientation = {orientation.x(), orientation.y(), orientation.z(),
-                       orientation.w()};
-  // The heading's own factor differs from 1 by the curvature of the earth
-  // between the two frames, some 1e-8 over a kilometre.
-  Matrix4 jacobian = Matrix4::Identity();
-  jacobian.topLeftCorner<3, 3>() = turn;
-  if (!spatial_) {
-    jacobian.row(2) = jacobian.col(2).transpose() =
-        Eigen::RowVector4d(0.0, 0.0, 1.0, 0.0);
-  }
-  StateMatrix given = StateCovariance(pose.covariance());
-  Eigen::Map<Matrix4> covariance(given.data());
-  if (!spatial_) {
-    covariance.row(2).setZero();
-    covariance.col(2).setZero();
-  }
-  local.covariance = ToArray(jacobian * covariance * jacobian.transpose());
-  if (const auto transition = TransitionOf(pose, spatial_)) {
-    local.error_transition =
-        ToArray(jacobian * *transition * jacobian.inverse());
-  }
+  SetOrientation(pose, turn, &local);
+  SetUncertainty(pose, turn, spatial_, &local);
   return local;
 }
 

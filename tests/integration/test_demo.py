@@ -30,6 +30,8 @@ def test_demo_finds_the_loops_of_the_drive_and_draws_them(tmp_path):
     assert float(figures["precision"]) > 0.95
     assert float(figures["recall"]) > 0.95
     assert "with --keep it stays up" in shown.stdout
+    # The report, not a line for each check.
+    assert len(shown.stdout.splitlines()) < 80
     assert (tmp_path / "demo.svg").read_text().startswith("<svg")
 
 

@@ -379,6 +379,7 @@ class Place:
         receiver = (ROOT / "tests/data/formats/nagoya_spp.pos").read_text()
         for day in ("monday", "tuesday"):
             self.write(f"{day}.pos", receiver)
+        self.add_counted_columns(poses)
         # Prints as the program of that name does.
         (self.directory / "odometry.csv").write_text("".join(
             odometry(*pose) for pose in poses))
@@ -387,6 +388,30 @@ class Place:
                         '[ "$*" = "topic echo --csv /odom" ] || exit 64\n'
                         f"cat {self.directory}/odometry.csv\n")
         ros2.chmod(0o755)
+
+    def add_counted_columns(self, poses):
+        """The same poses without names, as four sources write them."""
+        rows = [(t % 6e5, 43.79 + y / 111100, -79.46 + x / 80300,
+                 (90 - math.degrees(yaw)) % 360, yaw)
+                for t, x, y, yaw in poses]
+        self.write("KF_GINS_Navresult.nav", *(
+            f"2270 {t} {lat:.9f} {lon:.9f} 200.0 0 0 0 0.1 0.2 {north}"
+            for t, lat, lon, north, _ in rows))
+        self.write("novatel.asc", "#BESTPOSA,COM1,0;SOL_COMPUTED*00000000", *(
+            f"#INSPVAA,COM1,0,31.0,FINESTEERING,2270,{t},0,0,0;2270,{t},"
+            f"{lat:.9f},{lon:.9f},200.0,0,0,0,0.1,0.2,{north},"
+            "INS_SOLUTION_GOOD*00000000" for t, lat, lon, north, _ in rows))
+        self.write("20180719_rtk.txt", *(
+            f"{x:.4f} {y:.4f} 0.1" for _, x, y, _ in poses))
+        self.write("lego_loam_20180719.txt", *(
+            f"{y:.4f} 0.1 {x:.4f}" for _, x, y, _ in poses))
+        self.write(
+            "NAV-POSLLH.csv",
+            "GPSWeek [weeks];GPSSecondsOfWeek [s];Longitude (GT Lon) [deg];"
+            "Cov [deg];Latitude (GT Lat) [deg];Cov [deg];Height (GT Height) "
+            "[m];Cov [m];Heading (0 = East, counterclockwise) [rad]",
+            *(f"2270;{t};{lon:.9f};0;{lat:.9f};0;200.0;0;{yaw}"
+              for t, lat, lon, _, yaw in rows))
 
     def add_identities(self):
         """Certificates, keys and tokens under the names of the documents."""

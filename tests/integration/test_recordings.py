@@ -323,6 +323,164 @@ def test_evaluate_takes_the_truth_from_another_file(boreas, tmp_path):
                 == json.loads(of_csv.stdout)["total"][key])
 
 
+def test_truth_has_flags_of_its_own_and_may_end_early(boreas, tmp_path):
+    with open(BOREAS, encoding="utf-8") as file:
+        true = [tuple(float(row[name])
+                      for name in ("t_s", "gt_x", "gt_y", "gt_yaw"))
+                for row in csv.DictReader(file)]
+    estimate = write(tmp_path / "estimate.txt", tum(boreas))
+    truth = write(tmp_path / "truth.txt", tum(true[:-40], camera=True))
+
+    def evaluate(*flags):
+        return run("revisit", "evaluate", estimate, "--truth", truth,
+                   "--no-use-belief", *flags, env=clean_environment())
+    refused = evaluate()
+    assert refused.returncode == LOCAL_FAULT
+    assert "they agree with --truth-axes camera" in refused.stderr
+    report = evaluate("--truth-axes", "camera", "--json")
+    assert report.returncode == 0, report.stderr
+    assert json.loads(report.stdout)["total"]["poses"] == len(boreas) - 40
+    text = evaluate("--truth-axes", "camera")
+    assert "estimate: 40 poses, " in text.stdout
+    assert "after the truth ends are left out." in " ".join(text.stdout.split())
+
+
+def test_passes_in_the_opposite_direction_are_counted(tmp_path):
+    # There and back on one winding road.
+    road = [(2.0 * i, 150 * math.sin(i / 150)) for i in range(1500)]
+    path = road + [(x, y + 1.0) for x, y in reversed(road)]
+    rows = []
+    for i, (x, y) in enumerate(path):
+        a, b = path[max(i - 1, 0)], path[min(i + 1, len(path) - 1)]
+        yaw = math.atan2(b[1] - a[1], b[0] - a[0])
+        rows.append((i / 5, x, y, yaw, x, y, yaw))
+    drive = write(tmp_path / "back.csv", rows,
+                  PLAIN + ",gt_x,gt_y,gt_yaw", ",")
+    same, either = (
+        run("revisit", "evaluate", drive, "--no-use-belief", "--accept-suspicious",
+            *flags, env=clean_environment())
+        for flags in ((), ("--direction", "either")))
+    assert same.returncode == 0, same.stderr
+    words = " ".join(same.stdout.split())
+    assert " checks that are no true loops here lie where the vehicle " in words
+    assert "--direction either looks for these passes too" in words
+    assert "Direction: " not in either.stdout
+
+
+PLANAR = ",pxx,pxy,pxt,pyy,pyt,ptt"
+
+
+def streamed_covariance(stub, name, sequence):
+    return list(stub.ListPoses(api.ListPosesRequest(
+        parent=f"vehicles/{name}", first_sequence=sequence,
+        page_size=1)).poses[0].covariance.values)
+
+
+def test_covariances_that_grow_are_claimed_and_others_are_not(
+        boreas, stub, stream, tmp_path):
+    def recording(name, variance):
+        return write(tmp_path / name, [
+            (*pose, variance(i), 0, 0, variance(i), 0, 1e-4)
+            for i, pose in enumerate(boreas[:200])], PLAIN + PLANAR, ",")
+    growing = recording("growing.csv", lambda i: 0.01 * i)
+    taken = stream(growing, "--vehicle", "growing", "--create")
+    assert taken.returncode == 0, taken.stderr
+    assert "its covariances are claimed" in taken.stderr
+    assert "uncertainty       file\n" in taken.stdout
+    given = stream(growing, "--vehicle", "given", "--create", "--uncertainty",
+                   "file", "--json")
+    assert json.loads(given.stdout)["uncertainty"] == "file"
+    assert "covariances" not in given.stderr
+    assert (streamed_covariance(stub, "growing", 200)
+            == streamed_covariance(stub, "given", 200))
+
+    constant = stream(recording("constant.csv", lambda i: 0.01), "--vehicle",
+                      "constant", "--create", "--json")
+    assert constant.returncode == 0, constant.stderr
+    assert "do not grow along the drive" in constant.stderr
+    assert json.loads(constant.stdout)["uncertainty"] == "model"
+
+
+def test_positions_without_a_heading_need_a_word_on_their_errors(
+        boreas, stub, stream, tmp_path):
+    file = write(tmp_path / "positions.txt", [
+        (t, x, y) for t, x, y, _ in boreas[:300]])
+    columns = ["--columns", "t=1,x=2,y=3", "--create"]
+    refused = stream(file, *columns, "--vehicle", "asked")
+    assert refused.returncode == LOCAL_FAULT
+    assert "--uncertainty fixes if each has its own" in refused.stderr
+    assert "--uncertainty model if they add up" in refused.stderr
+    assert not is_there(stub, "asked")
+    for word, model in (
+            ("fixes", api.CORRELATION_MODEL_INDEPENDENT),
+            ("model", api.CORRELATION_MODEL_DEAD_RECKONING)):
+        taken = stream(file, *columns, "--vehicle", f"asked-{word}",
+                       "--uncertainty", word)
+        assert taken.returncode == 0, taken.stderr
+        assert vehicle(stub, f"asked-{word}").settings.correlation_model == \
+            model
+
+
+def test_summary_says_how_long_the_drive_is_and_what_was_left_out(
+        stream, tmp_path):
+    rows = [(i, min(10 * i, 990), 0) for i in range(110)]
+    file = write(tmp_path / "slow.csv", rows, "t,x,y", ",")
+    arguments = [file, "--columns", "t=t,x=x,y=y", "--uncertainty", "fixes",
+                 "--create"]
+    text = stream(*arguments, "--vehicle", "summary")
+    assert text.returncode == 0, text.stderr
+    assert "drive             990.0 m in 99.0 s, 10.00 m/s on average" in \
+        text.stdout
+    assert "left out          10 positions at which the vehicle stood" in \
+        text.stdout
+    summary = json.loads(stream(*arguments, "--vehicle", "summary-json",
+                                "--json").stdout)
+    assert summary["lengthMeters"] == pytest.approx(990.0)
+    assert summary["durationSeconds"] == pytest.approx(99.0)
+    assert summary["leftOut"] == {"standing": 10, "wrongChecksums": 0}
+
+
+def test_candidates_of_a_stream_may_be_of_either_direction(
+        stub, stream, tmp_path):
+    # Round two blocks, and back the same way.
+    corners = [(0, 0), (200, 0), (200, 90), (420, 90), (420, 240), (90, 240)]
+    path = []
+    for (ax, ay), (bx, by) in zip(corners, corners[1:]):
+        steps = int(math.hypot(bx - ax, by - ay) / 2)
+        path += [(ax + (bx - ax) * i / steps, ay + (by - ay) * i / steps)
+                 for i in range(steps)]
+    path += [(x, y + 0.5) for x, y in reversed(path)]
+    rows = []
+    for i, (x, y) in enumerate(path[:-1]):
+        yaw = math.atan2(path[i + 1][1] - y, path[i + 1][0] - x)
+        rows.append((i, x, y, yaw))
+    file = write(tmp_path / "back.csv", rows, "t,x,y,yaw", ",")
+    directions = {}
+    for word in ("same", "either"):
+        found = stream(file, "--vehicle", f"to-{word}", "--create",
+                       "--accept-suspicious", "--candidates", "--direction",
+                       word)
+        assert found.returncode == 0, found.stderr
+        directions[word] = found.stdout.count("opposite direction, ")
+        assert ("--direction either looks at both" in found.stdout) == (
+            word == "same")
+    assert directions["same"] == 0
+    assert directions["either"] > 0
+    wrong = stream(file, "--vehicle", "to-same", "--direction", "either")
+    assert wrong.returncode == USAGE
+    assert "--direction: goes with --candidates" in wrong.stderr
+
+
+def test_unknown_vehicle_and_absent_server_have_hints(stream, tmp_path):
+    file = write(tmp_path / "a.csv", [(0, 0, 0, 0)], PLAIN, ",")
+    unknown = stream(file, "--vehicle", "nobody")
+    assert "--create makes the vehicle" in unknown.stderr
+    absent = run("revisit", "info", "--server", "127.0.0.1:1")
+    assert "(is revisitd running at 127.0.0.1:1?" in absent.stderr
+    as_json = run("revisit", "info", "--server", "127.0.0.1:1", "--json")
+    assert "is revisitd running" in json.loads(as_json.stderr)["error"]["hint"]
+
+
 def test_stream_without_a_vehicle_is_wrong_usage(stream):
     refused = stream(BOREAS)
     assert refused.returncode == USAGE

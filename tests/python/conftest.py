@@ -1,8 +1,11 @@
 """Fixtures of the tests of the Python package, which run on real servers and on the
 package as it was installed."""
 
+import contextlib
 import itertools
+import os
 import pathlib
+import signal
 import sys
 import threading
 
@@ -14,11 +17,14 @@ import revisit
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests/integration"))
 
-from revisit_server import Server, free_port  # noqa: E402
+from revisit_server import BIN, Server, free_port, wait_until  # noqa: E402
 
 BOREAS = ROOT / "tests/data/boreas/boreas_glen_shields.csv"
 #: Longer than anything here takes on a busy machine, in seconds.
 LONG = 60.0
+
+
+os.environ.setdefault("REVISIT_PROGRAM", str(BIN / "revisit"))
 
 
 @pytest.fixture(scope="module")
@@ -46,6 +52,20 @@ def new_vehicle(client):
         return name
 
     return create
+
+
+@contextlib.contextmanager
+def stopped(server):
+    """A server of which no thread runs meanwhile."""
+    tasks = pathlib.Path(f"/proc/{server.pid}/task")
+    os.kill(server.pid, signal.SIGSTOP)
+    try:
+        wait_until(lambda: all(
+            (task / "stat").read_text().rpartition(")")[2].split()[0] == "T"
+            for task in tasks.iterdir()), "stopped server")
+        yield
+    finally:
+        os.kill(server.pid, signal.SIGCONT)
 
 
 class Restarted:

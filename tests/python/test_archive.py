@@ -1,6 +1,7 @@
 """Archives are Parquet files that anybody reads, hold what is stored to the bit, and
 come to be only if they do."""
 
+import datetime
 import os
 
 import numpy as np
@@ -85,6 +86,12 @@ def test_an_archive_ends_before_a_moment_or_at_a_sequence(client, new_vehicle,
     assert sequences("a", before=stamps[12]) == list(range(1, 13))
     assert sequences("b", first_sequence=5, last_sequence=9) == list(range(5, 10))
     assert sequences("c", before=np.datetime64("2025-12-31")) == []
+    moment = datetime.datetime(2026, 1, 1, 2, 0, 12, tzinfo=datetime.timezone(
+        datetime.timedelta(hours=2)))
+    assert sequences("d", before=moment) == list(range(1, 13))
+    with pytest.raises(ValueError, match="no time zone"):
+        sequences("e", before=moment.replace(tzinfo=None))
+    assert not (tmp_path / "e").exists()
 
 
 def test_what_changes_meanwhile_is_not_kept(client, new_vehicle, tmp_path, monkeypatch):

@@ -1,7 +1,11 @@
 """Poses go from arrays to the server and back without the loss of a bit, and arrays
 that do not fit are refused before anything is sent."""
 
+import datetime
+
+import matplotlib
 import numpy as np
+import pandas
 import pytest
 
 import revisit
@@ -105,7 +109,7 @@ def good(**changed):
     ({"quaternion": np.zeros((4, 4))}, "either a heading or a quaternion"),
     ({"heading": None}, "either a heading or a quaternion"),
     ({"heading": None, "quaternion": np.zeros((4, 3))}, "quaternion has the shape"),
-    ({"stamps": [1, 2, 3, 4]}, "int64: give datetime64, or seconds"),
+    ({"stamps": [1, 2, 3, 4]}, "int64: give datetime64, datetimes with a time zone"),
     ({"stamps": np.zeros(3)}, r"stamps have the shape \(3,\)"),
     ({"stamps": [1e300] * 4}, "seconds since 1970"),
     ({"stamps": np.array(["3000"] * 4, "datetime64[Y]")}, "outside of the years"),
@@ -154,7 +158,8 @@ def test_pandas_get_a_column_per_number(client, new_vehicle, boreas):
     nodes = graph.nodes.to_pandas()
     assert len(nodes) == graph.vehicle.node_count
     assert nodes["travelled"].is_monotonic_increasing
-    assert str(nodes["stamp"].dtype) == "datetime64[ns]"
+    assert str(nodes["stamp"].dtype) == "datetime64[ns, UTC]"
+    assert str(frame["stamp"].dtype) == "datetime64[ns, UTC]"
     assert {"covariance_xx", "covariance_yh"} <= set(nodes.columns)
     assert (graph.edges.to_pandas()["kind"] == "CONSECUTIVE").all()
     found = revisit.candidate_table(answers).to_pandas()
@@ -179,8 +184,8 @@ def test_pandas_get_a_column_per_number(client, new_vehicle, boreas):
 def test_tables_of_nothing_have_their_columns():
     full = {"check", "verdict", "probability", "query_x", "difference_covariance"}
     table = revisit.candidate_table([])
-    assert table.rows == 0 and full <= set(table)
-    assert revisit.check_table([]).rows == revisit.node_table([]).rows == 0
+    assert len(table) == 0 and full <= set(table)
+    assert len(revisit.check_table([])) == len(revisit.node_table([])) == 0
     assert revisit.edge_table([]).to_pandas().empty
 
 
@@ -189,12 +194,12 @@ def test_answers_without_probability_are_tables_too(client, new_vehicle, boreas)
     with client.stream_poses(vehicle) as stream:
         stream.append(boreas[0])
     table = revisit.candidate_table([client.find_candidates(vehicle)])
-    assert table.rows > 0
+    assert len(table) > 0
     assert np.isnan(table["probability"]).all()
     assert np.isnan(table["meters_before"]).all()
     assert set(table["path_gate_verdict"]) == {"UNSPECIFIED"}
     best = table.where(table["rank"] == 1)
-    assert best.rows == 1 and best["score"][0] == table["score"].max()
+    assert len(best) == 1 and best["score"][0] == table["score"].max()
 
 
 def test_rows_are_chosen_as_in_numpy():
@@ -203,3 +208,116 @@ def test_rows_are_chosen_as_in_numpy():
     assert poses[[0, 9]].sequence.tolist() == [1, 10]
     assert poses[poses.position[:, 0] > 8].sequence.tolist() == [9, 10]
     assert poses.numbered(101).sequence.tolist() == list(range(101, 111))
+
+
+def stamped(stamps):
+    count = len(stamps)
+    return Poses.local(*np.zeros((3, count)), np.ones((count, 6)), stamps=stamps)
+
+
+def test_datetimes_with_a_time_zone_are_taken_and_answered():
+    east = datetime.timezone(datetime.timedelta(hours=2))
+    moment = datetime.datetime(2026, 7, 1, 12, 0, 0, 123_456, tzinfo=east)
+    before_1970 = datetime.datetime(1969, 12, 31, 23, 59, 59, 999_999,
+                                    tzinfo=datetime.timezone.utc)
+    poses = stamped([moment, None, before_1970])
+    assert poses.stamp[0] == np.datetime64("2026-07-01T10:00:00.123456")
+    assert poses.times() == [moment, None, before_1970]
+    assert poses.times()[0].tzinfo is datetime.timezone.utc
+    assert [one.stamp.seconds for one in poses.to_messages()] == [
+        1_782_900_000, 0, -1]
+
+
+def test_times_of_pandas_keep_their_nanoseconds():
+    moments = pandas.to_datetime(["2026-07-01T12:00:00.123456789+02:00", None])
+    for given in (moments, pandas.Series(moments)):
+        poses = stamped(given)
+        assert poses.stamp[0] == np.datetime64("2026-07-01T10:00:00.123456789")
+        assert np.isnat(poses.stamp[1])
+    assert poses.to_pandas()["stamp"].tolist()[0] == moments[0]
+
+
+def test_a_datetime_without_a_time_zone_is_refused_with_what_to_write():
+    naive = datetime.datetime(2026, 7, 1, 12)
+    with pytest.raises(ValueError, match=r"no time zone: .*timezone.utc\) says"):
+        stamped([naive.replace(tzinfo=datetime.timezone.utc), naive])
+    with pytest.raises(TypeError, match="is no datetime"):
+        stamped([naive.replace(tzinfo=datetime.timezone.utc), "now"])
+
+
+def test_a_table_is_as_long_as_it_has_rows(client, new_vehicle):
+    vehicle = new_vehicle()
+    client.append_poses(vehicle, straight(60))
+    table = client.export_pose_graph(vehicle).nodes
+    assert len(table) == client.get_vehicle(vehicle).node_count == len(table["x"])
+    assert list(table) == list(dict(table)) and "x" in table and "q" not in table
+
+
+def test_tables_and_poses_show_themselves_in_a_notebook():
+    poses = straight(30)
+    poses.stamp[0] = np.datetime64("2026-07-01T10:00:00.5")
+    page = poses._repr_html_()
+    assert page.count("<tr>") == 1 + 5 + 1 + 5 and "30 poses" in page
+    assert "2026-07-01T10:00:00.500Z" in page
+    table = revisit.Table({"name": np.array(["<b>"]), "numbers": np.ones((1, 2))})
+    page = table._repr_html_()
+    assert "<td>&lt;b&gt;</td><td>1 1</td>" in page
+
+
+def test_a_pose_graph_is_plotted_without_roads_over_jumps(client, new_vehicle):
+    matplotlib.use("agg")
+    vehicle = new_vehicle()
+    poses = straight(60)
+    poses.position[30:, 1] += 500.0
+    client.append_poses(vehicle, poses)
+    client.add_loop_closure(vehicle, 59, 31)
+    graph = client.export_pose_graph(vehicle)
+    lines = graph.plot().get_lines()
+    assert np.isnan(lines[0].get_xdata()).sum() == 1
+    assert len(lines) == 2 and len(lines[1].get_xdata()) == 2
+
+
+def rotation(quaternion):
+    x, y, z, w = quaternion
+    return np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]])
+
+
+@pytest.mark.parametrize("axes, yaw, columns", [
+    # Where forward, left and up lie in the axes of the body that was recorded.
+    ("flu", 0.0, [(1, 0, 0), (0, 1, 0), (0, 0, 1)]),
+    ("camera", 0.0, [(0, 0, 1), (-1, 0, 0), (0, -1, 0)]),
+    ("frd", 0.0, [(1, 0, 0), (0, -1, 0), (0, 0, -1)]),
+    ("flu", np.pi / 2, [(0, 1, 0), (-1, 0, 0), (0, 0, 1)]),
+    ("camera", np.pi / 2, [(-1, 0, 0), (0, 0, -1), (0, -1, 0)])])
+def test_a_body_of_other_axes_is_turned(axes, yaw, columns):
+    rng = np.random.default_rng(3)
+    quaternions = rng.normal(size=(20, 4))
+    quaternions /= np.linalg.norm(quaternions, axis=1)[:, np.newaxis]
+    poses = Poses.local(*np.zeros((2, 20)), None, np.ones((20, 6)),
+                        quaternion=quaternions)
+    turned = poses.with_body(axes, yaw=yaw)
+    for before, after in zip(quaternions, turned.quaternion):
+        assert np.allclose(rotation(after), rotation(before) @ np.transpose(columns))
+
+
+def test_headings_are_turned_by_a_yaw_and_by_nothing_else(client, new_vehicle):
+    poses = straight(200)
+    poses.heading[:] = -np.pi / 2
+    mended = poses.with_body(yaw=np.pi / 2)
+    assert mended.heading.tolist() == [0.0] * 200
+    with pytest.raises(ValueError, match="200 poses have only a heading"):
+        poses.with_body("camera")
+    with pytest.raises(ValueError, match="expected one of flu, camera, frd"):
+        poses.with_body("ned")
+    with client.stream_poses(new_vehicle()) as stream:
+        stream.append(poses)
+        stream.finish()
+        [warning] = stream.warnings
+    assert warning.reason == v1.WARNING_REASON_HEADING_OFF_COURSE
+    with client.stream_poses(new_vehicle()) as stream:
+        stream.append(mended)
+        stream.finish()
+        assert stream.warnings == []

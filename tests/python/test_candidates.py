@@ -28,7 +28,7 @@ def right_and_accepted(found, columns):
     matched = truth[best["matched_sequence"].astype(int) - 1]
     # At 1 Hz a node lies up to 15 m behind the pose that its sequence names.
     near = np.hypot(*(query - matched).T) < 10 + 15
-    return best.rows, int(near.sum())
+    return len(best), int(near.sum())
 
 
 def test_candidates_of_the_shipped_drive_are_found_by_all_ways(

@@ -144,3 +144,100 @@ def test_a_closed_client_says_so(server):
     client.close()
     with pytest.raises(revisit.Cancelled, match="closed"):
         client.server_info()
+
+
+def test_settings_are_keywords(client):
+    made = client.create_vehicle(
+        "keywords", v1.VehicleSettings(max_candidates=3, gate_probability=0.9),
+        correlation_model="correlated-fixes", state_space=v1.STATE_SPACE_SPATIAL,
+        coordinate_frame="COORDINATE_FRAME_GEODETIC", max_candidates=4,
+        place_tolerance={"position_meters": 3.0, "heading_radians": 0.2})
+    assert made.settings.correlation_model == v1.CORRELATION_MODEL_CORRELATED_FIXES
+    assert made.settings.state_space == v1.STATE_SPACE_SPATIAL
+    assert made.settings.coordinate_frame == v1.COORDINATE_FRAME_GEODETIC
+    assert made.settings.max_candidates == 4
+    assert made.settings.gate_probability == 0.9
+    assert made.settings.place_tolerance.position_meters == 3.0
+    changed = client.update_vehicle("keywords", max_candidates=9, gate_probability=None)
+    assert changed.settings.max_candidates == 9
+    assert changed.settings.gate_probability == 0.95
+    assert changed.settings.state_space == v1.STATE_SPACE_SPATIAL
+
+
+def test_a_keyword_that_is_no_setting_is_refused_with_the_one_it_may_be(client):
+    with pytest.raises(TypeError, match="max_candidate; did you mean max_candidates"):
+        client.create_vehicle("a", max_candidate=3)
+    with pytest.raises(ValueError, match="expected one of DEAD_RECKONING, INDEPENDENT"):
+        client.create_vehicle("a", correlation_model="odometry")
+    with pytest.raises(ValueError, match="'unspecified': expected one of"):
+        client.create_vehicle("a", correlation_model="unspecified")
+
+
+def test_labels_are_set_one_by_one_and_removed(client):
+    made = client.create_vehicle("labelled", display_name="The <old> one",
+                                 labels={"depot": "north", "line": "7"})
+    assert (made.display_name, dict(made.labels)) == (
+        "The <old> one", {"depot": "north", "line": "7"})
+    changed = client.update_vehicle("labelled", display_name="New",
+                                    labels={"depot": "south", "line": None})
+    assert (changed.display_name, dict(changed.labels)) == ("New", {"depot": "south"})
+
+
+def test_candidates_are_asked_for_with_keywords(client, new_vehicle, boreas):
+    vehicle = new_vehicle()
+    with client.stream_poses(vehicle) as stream:
+        stream.append(boreas[0])
+    answer = client.find_candidates(vehicle, direction="either", exhaustive=True,
+                                    max_candidates=20)
+    assert {one.direction for one in answer.candidates} == {
+        v1.DIRECTION_SAME, v1.DIRECTION_OPPOSITE}
+
+
+@pytest.mark.parametrize("relative, covariance, numbers", [
+    ((1.0, -2.0, 0.25), np.diag([0.01, 0.02, 1e-4]), (1.0, -2.0, 0.0, 0.25)),
+    ((1.0, -2.0, 3.0, 0.25), np.diag([0.01, 0.02, 0.5, 1e-4]), (1.0, -2.0, 3.0, 0.25)),
+    ([[0.0, -1.0, 1.0], [1.0, 0.0, -2.0], [0.0, 0.0, 1.0]], [0.01, 0, 0, 0.02, 0, 1e-4],
+     (1.0, -2.0, 0.0, np.pi / 2)),
+    ([[0.0, -1.0, 0, 1.0], [1.0, 0.0, 0, -2.0], [0, 0, 1.0, 3.0], [0, 0, 0, 1.0]],
+     np.diag([0.01, 0.02, 0.5, 1, 1, 1e-4]), (1.0, -2.0, 3.0, np.pi / 2))])
+def test_a_loop_closure_has_what_was_measured(client, new_vehicle, boreas, relative,
+                                              covariance, numbers):
+    vehicle = new_vehicle()
+    client.append_poses(vehicle, boreas[0][:50])
+    answer = client.add_loop_closure(vehicle, 40, 4, relative=relative,
+                                     covariance=covariance, score=0.75, note="icp")
+    stored = answer.loop_closure
+    measured = stored.measurement
+    assert (measured.x_meters, measured.y_meters, measured.z_meters,
+            measured.heading_radians) == pytest.approx(numbers)
+    assert measured.covariance.values[0] == 0.01
+    assert (stored.query_sequence, stored.matched_sequence, stored.score,
+            stored.note) == (40, 4, 0.75, "icp")
+    assert answer.agreement.degrees_of_freedom == 3
+
+
+def test_a_loop_closure_that_is_not_clear_is_refused(client, new_vehicle):
+    vehicle = new_vehicle()
+    for arguments, keywords, problem in (
+            ((40,), {}, "matched is missing"),
+            ((v1.LoopClosure(query_sequence=40), 4), {}, "beside a LoopClosure"),
+            ((40, 4), {"relative": (1, 2, 3)}, "relative needs its covariance"),
+            ((40, 4), {"covariance": np.eye(3)}, "relative, which is missing"),
+            ((40, 4), {"relative": (1, 2), "covariance": np.eye(3)}, r"shape \(2,\)")):
+        with pytest.raises((TypeError, ValueError), match=problem):
+            client.add_loop_closure(vehicle, *arguments, **keywords)
+
+
+def test_two_sequences_are_rejected(client, new_vehicle):
+    vehicle = new_vehicle()
+    client.append_poses(vehicle, straight(50))
+    answer = client.reject_candidate(vehicle, 40, 4, note="a bridge")
+    assert answer.rejected_candidate.matched_sequence == 4
+
+
+def test_warnings_of_a_batch_are_returned_and_logged(client, new_vehicle, caplog):
+    poses = straight(20)
+    poses.heading[:] = 90.0
+    ack = client.append_poses(new_vehicle(), poses)
+    assert v1.WARNING_REASON_HEADING_BEYOND_TURN in [one.reason for one in ack.warnings]
+    assert "What to do: np.radians()" in caplog.text

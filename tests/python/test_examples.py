@@ -3,6 +3,7 @@ and the lines of its README."""
 
 import json
 import re
+import shutil
 
 import nbclient
 import nbformat
@@ -50,18 +51,19 @@ def test_the_notebook_runs_on_a_server(server, client, monkeypatch):
 
 
 def blocks(path):
-    return re.findall(r"^```python\n(.*?)^```", path.read_text(),
-                      re.DOTALL | re.MULTILINE)
+    """Lines of Python, and what they print or log where the document shows it."""
+    return re.findall(r"^```python\n(.*?)^```\n(?:\n```\n(.*?)^```\n)?",
+                      path.read_text(), re.DOTALL | re.MULTILINE)
 
 
 @pytest.mark.parametrize("document", ["client/python/README.md", "docs/integrate.md"])
 def test_the_lines_of_documents_run(document, server, client, boreas, tmp_path,
-                                    monkeypatch):
+                                    monkeypatch, capsys, caplog):
     poses, columns = boreas
     found = blocks(ROOT / document)
     assert found
     monkeypatch.chdir(tmp_path)
-    for number, block in enumerate(found):
+    for number, (block, shown) in enumerate(found):
         vehicle = f"readme-{ROOT.joinpath(document).stem.lower()}-{number}"
         block = block.replace("127.0.0.1:50051", server.address).replace(
             "shuttle-7", vehicle)
@@ -71,8 +73,16 @@ def test_the_lines_of_documents_run(document, server, client, boreas, tmp_path,
             "covariance": poses.covariance, "stamps": columns["t_s"], "poses": poses}
         if "create_vehicle" not in block:
             client.create_vehicle(vehicle)
+        if "read_recording" in block:
+            shutil.copy(BOREAS, tmp_path / "drive.csv")
         if "rosbag" in block:
             from test_rosbag import odometry_bag
             odometry_bag(tmp_path / "drive")
+        capsys.readouterr()
+        caplog.clear()
         exec(compile(block, f"{document}:{number}", "exec"), names)
+        if shown:
+            said = capsys.readouterr().out + "".join(
+                f"{record.getMessage()}\n" for record in caplog.records)
+            assert said.replace(vehicle, "shuttle-7") == shown
         assert client.get_vehicle(vehicle).durable_sequence > 0

@@ -2,7 +2,9 @@
 with types, without leaving anything in the tree."""
 
 import ast
+import importlib.metadata
 import os
+import pathlib
 import re
 import subprocess
 import sys
@@ -31,6 +33,27 @@ def drive(client: revisit.Client, x: NDArray[np.float64]) -> float:
         return float(client.poses("a").position[0, 0])
     except revisit.InvalidArgument as error:
         return float(len(error.field_violations[0].field))
+
+def settle(client: revisit.Client, bar: revisit.ProgressBar) -> list[str]:
+    made = client.create_vehicle("a", correlation_model="independent",
+                                 node_spacing_meters=1, labels={"depot": "north"},
+                                 place_tolerance={"position_meters": 3.0})
+    client.add_loop_closure("a", 40, 4, relative=(1.0, 2.0, 0.1),
+                            covariance=np.eye(3))
+    client.find_candidates("a", direction=v1.DIRECTION_EITHER)
+    poses = revisit.read_recording("drive.csv", axes="camera", progress=bar)
+    ack = client.append_poses("a", poses)
+    name: str = made.name
+    return [name, *(one.message for one in ack.warnings)]
+
+async def follow(client: revisit.aio.Client) -> float:
+    async with client.stream_poses("a") as stream:
+        await stream.append(revisit.read_recording("drive.csv"))
+        async for answer in stream.run([]):
+            best: v1.Candidate = answer.candidates[0]
+            return best.probability
+    vehicle: v1.Vehicle = await client.get_vehicle("a")
+    return vehicle.travelled_meters
 '''
 BADLY_TYPED = '''
 import revisit
@@ -40,6 +63,9 @@ def drive(client: revisit.Client) -> None:
     client.get_vehicle("a").nothing
     revisit.StreamOptions(batch_poses="many")
     revisit.Poses.local()
+    client.create_vehicle("a", max_candidate=3)
+    client.create_vehicle("a", max_candidates="three")
+    revisit.aio.Client("").get_vehicle("a").name
 '''
 
 
@@ -122,6 +148,36 @@ def test_v1_has_every_message_and_enum_of_the_protos():
             assert hasattr(revisit.v1, name), name
 
 
+def test_types_of_what_it_answers_come_along():
+    """Without an extra, and at the versions that pip takes by itself."""
+    needed = [one for one in importlib.metadata.requires("revisit")
+              if "extra ==" not in one]
+    for name in ("types-grpcio", "types-protobuf"):
+        assert any(re.match(rf"{name}\b", one) for one in needed), name
+
+
+def test_comments_of_the_protos_are_descriptions():
+    place = pathlib.Path(revisit.v1.__file__).parent
+    for proto in (ROOT / "proto/revisit/v1").glob("*.proto"):
+        stub = (place / f"{proto.stem}_pb2.pyi").read_text()
+        for name in re.findall(r"^(?:message|enum) (\w+)", proto.read_text(),
+                               re.MULTILINE):
+            described = getattr(revisit.v1, name).__doc__
+            assert described and described[0].isupper(), name
+            first = described.splitlines()[0].replace('"', '\\"')
+            assert re.search(rf'^class {name}\(.*\n    """{re.escape(first)}', stub,
+                             re.MULTILINE), name
+        # All fields and values, once in their class and, of a value, in the module.
+        members = re.findall(
+            r"^ +(?:repeated |optional )?(?:[\w.<>, ]+ )?(\w+) = \d+[;\[ ]",
+            proto.read_text(), re.MULTILINE)
+        assert members or proto.stem == "error_reason"
+        for name in set(members):
+            assert re.search(rf'^    {name}: .*\n    """', stub, re.MULTILINE), name
+    settings = (place / "keywords.py").read_text()
+    assert '    node_spacing_meters: Optional[float]\n    """Travelled' in settings
+
+
 def test_the_package_is_typed_strictly():
     checked = mypy("-p", "revisit")
     assert checked.returncode == 0, checked.stdout
@@ -134,7 +190,8 @@ def test_its_users_are_checked_by_its_types(tmp_path):
     assert checked.returncode == 0, checked.stdout
     checked = mypy("bad.py", cwd=tmp_path)
     assert re.findall(r"bad.py:\d+: error: .*\[([\w-]+)\]", checked.stdout) == [
-        "arg-type", "attr-defined", "arg-type", "call-arg"]
+        "arg-type", "attr-defined", "arg-type", "call-arg", "call-arg", "arg-type",
+        "attr-defined"]
 
 
 @pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")),

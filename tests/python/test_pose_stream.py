@@ -1,6 +1,7 @@
 """A stream brings every pose to the server exactly once, whatever happens to the
 server meanwhile, and says why where it cannot."""
 
+import math
 import random
 import shutil
 import threading
@@ -12,6 +13,7 @@ import revisit
 from conftest import LONG, as_bytes, straight
 from drive_client import Drive
 from revisit import StreamCallbacks, StreamOptions
+from revisit._stream_state import log_warnings
 from revisit_server import wait_until
 
 SEED = 20101018
@@ -282,3 +284,59 @@ def test_what_an_earlier_life_knew_is_checked(client, new_vehicle):
     with pytest.raises(revisit.VehicleReplaced):
         stream.append(straight(10, first=11))
     assert client.get_vehicle(vehicle).durable_sequence == 0
+
+
+def test_warnings_are_returned_and_each_kind_is_logged_once(
+        client, new_vehicle, caplog):
+    poses = straight(200)
+    poses.heading[:] = 90.0
+    with client.stream_poses(new_vehicle()) as stream:
+        stream.append(poses)
+        stream.finish()
+        reasons = [one.reason for one in stream.warnings]
+    assert reasons == [revisit.v1.WARNING_REASON_HEADING_BEYOND_TURN,
+                       revisit.v1.WARNING_REASON_HEADING_OFF_COURSE]
+    logged = [one.getMessage() for one in caplog.records if one.levelname == "WARNING"]
+    assert [text.split("What to do: ")[1] for text in logged] == [
+        "np.radians() makes radians of degrees",
+        f"poses.with_body(yaw={-math.remainder(90.0, 2 * math.pi):.4f}) turns them, if "
+        "the vehicle drives forwards"]
+
+
+def test_a_warning_that_comes_again_is_not_logged_again(caplog):
+    warning = revisit.v1.Warning(
+        reason=revisit.v1.WARNING_REASON_STAMPS_BACKWARDS, message="back\x1b[2J")
+    ack = revisit.v1.Ack(warnings=[warning, warning])
+    known = set()
+    for _ in range(3):
+        log_warnings("vehicles/a", ack, known)
+    [record] = caplog.records
+    assert record.getMessage().startswith("vehicles/a: back<U+001B>[2J. What to do: ")
+
+
+class Bar:
+    """The part of tqdm that is used."""
+
+    def __init__(self):
+        self.done = 0
+
+    def update(self, n):
+        assert n > 0
+        self.done += n
+
+
+def test_progress_counts_the_poses_that_became_durable(restarted, in_thread):
+    bar = Bar()
+    with revisit.Client(restarted.address) as client:
+        client.create_vehicle("a")
+        client.append_poses("a", straight(100))
+        with client.stream_poses("a", StreamOptions(batch_poses=16, **QUICK),
+                                 StreamCallbacks(progress=bar)) as stream:
+            stream.append(straight(2000, first=101))
+            wait_until(lambda: stream.acked_sequence > 500, "progress", LONG)
+            restarted.kill()
+            restarted.start()
+            in_thread(stream.finish)()
+        assert bar.done == 2000
+        read = Bar()
+        assert len(client.poses("a", progress=read)) == read.done == 2100

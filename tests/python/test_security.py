@@ -1,6 +1,7 @@
 """The client shows who it is by certificate or token, sends no token in plaintext to
 other machines, and names faults of its files at once."""
 
+import asyncio
 import json
 
 import pytest
@@ -176,3 +177,21 @@ def test_a_token_that_went_away_is_the_callers_fault(plaintext, files):
             client.server_info()
         with pytest.raises(revisit.Unauthenticated, match="no token to send"):
             client.stream_poses("a").finish()
+
+
+def test_the_client_of_asyncio_and_the_program_show_who_calls_too(
+        encrypted, files, tmp_path):
+    async def append():
+        async with revisit.aio.Client(encrypted.address, tls_authorities=files.ca,
+                                      token_file=files.token_file()) as client:
+            await client.create_vehicle("both")
+            async with client.stream_poses("both") as stream:
+                await stream.append(straight(10))
+            await client.export("both", tmp_path / "both.g2o")
+
+    asyncio.run(append())
+    assert (tmp_path / "both.g2o").read_text().count("VERTEX_SE2") == 10
+    with revisit.Client(encrypted.address, tls_authorities=files.ca) as nobody:
+        with pytest.raises(revisit.Unauthenticated) as caught:
+            nobody.export("both", tmp_path / "none.g2o")
+    assert caught.value.reason == "CREDENTIALS_MISSING"

@@ -72,7 +72,7 @@ absl::Status RunDemo(const DemoOptions& demo, const Terminal& terminal) {
   SetUsualSettings(&options.settings);
   options.uncertainty.source = UncertaintyOptions::Source::kFile;
   options.uncertainty_given = true;
-  options.verbose = true;
+  options.verbose = terminal.json;
   options.map = demo.map;
   options.vehicle = kVehicle;
   options.keep_vehicles = true;

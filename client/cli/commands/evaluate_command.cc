@@ -55,7 +55,9 @@ constexpr char kExamples[] =
     "  revisit evaluate hills.csv --simulate 1-5 --state-space spatial\n"
     "  revisit evaluate filtered.csv --correlation-model filter\n"
     "  revisit evaluate day1.pos day2.pos --one-vehicle "
-    "--truth ref1.csv ref2.csv";
+    "--truth ref1.csv ref2.csv\n"
+    "  revisit evaluate slam.txt --axes camera --truth poses.txt --truth-axes "
+    "camera --rate 10 --truth-rate 10";
 
 // The options, and flags that FinishOptions() turns into options.
 struct EvaluateFlags {
@@ -71,7 +73,8 @@ void AddInputsAndOutputs(const Command& command, EvaluateOptions* options) {
   command.AddTexts("--truth", "FILE", &options->truth_files,
                    "The truth of each FILE, where it is not in the file: any "
                    "format that is read, or a receiver's reference with "
-                   "columns such as \"GPS TOW (s)\"");
+                   "columns such as \"GPS TOW (s)\"; --truth-axes and so on "
+                   "say how");
   command.AddSwitch("--one-vehicle", &options->one_vehicle,
                     "Stream all files into one vehicle, one after the other");
   command.AddSwitch("--verbose", &options->verbose,
@@ -266,6 +269,7 @@ void AddEvaluateCommand(const Command& program) {
   EvaluateOptions* const options = &flags->options;
   AddInputsAndOutputs(command, options);
   AddReaderFlags(command, &options->reader);
+  AddTruthReaderFlags(command, &options->truth_reader);
   AddMeasurements(command, flags.get());
   AddJudging(command, options);
   AddDriveSettings(command, &options->settings);

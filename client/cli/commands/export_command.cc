@@ -234,45 +234,50 @@ absl::Status Export(const Client& client, const ExportOptions& options,
   return ExportPoses(client, *vehicle, options.view, terminal, write);
 }
 
+constexpr char kExportDetails[] =
+    "The poses, as they were last revised or, with --view as-sent, as they "
+    "were sent, in the\n"
+    "local frame (that of a geodetic vehicle is East-North-Up at its "
+    "origin):\n"
+    "  tum        t x y z qx qy qz qw, for evo and other viewers\n"
+    "  kitti      twelve numbers, the body's axes being forward, left, up; "
+    "no times\n"
+    "  csv        with a header line: "
+    "sequence,t_s,est_x,est_y,est_z,est_yaw,"
+    "qx,qy,qz,qw\n"
+    "             and the covariance's upper triangle\n"
+    "  g2o        for optimisers: VERTEX_SE2 or, for spatial vehicles, "
+    "VERTEX_SE3:QUAT, whose\n"
+    "             ids are sequences; an edge from each pose to the next "
+    "as they were\n"
+    "             sent, with the uncertainty that the step adds; an edge for "
+    "each loop closure,\n"
+    "             as measured\n"
+    "The graph of nodes, spaced evenly, on which searches are made:\n"
+    "  jsonl      a JSON object a line: {\"vehicle\": ...}, then {\"node\": "
+    "...} for each node,\n"
+    "             then {\"edge\": ...} for each edge; protobuf JSON\n"
+    "  nodes-csv  with a header line: index,sequence,fraction,t_s,"
+    "travelled_m,x_m,y_m,z_m,\n"
+    "             heading_rad and the covariance's upper triangle\n"
+    "  edges-csv  the same: from_index,to_index,kind\n"
+    "  geojson    for vehicles that stream geodetic positions: the "
+    "trajectory, loop closures\n"
+    "             and rejected candidates in longitude and latitude\n"
+    "Numbers read back to the same bits. revisit revise brings optimised "
+    "poses back.";
+
+constexpr char kExportExamples[] =
+    "  revisit export shuttle-7 > graph.jsonl\n"
+    "  revisit export shuttle-7 --format g2o --output shuttle-7.g2o\n"
+    "  revisit export shuttle-7 --format tum --output shuttle-7.tum";
+
 }  // namespace
 
 void AddExportCommand(const Command& program) {
   const Command command = program.AddCommand(
       {"export", "Writes out a vehicle's poses or its pose graph.",
-       "The poses, as they were last revised or, with --view as-sent, as they "
-       "were sent, in the\n"
-       "local frame (that of a geodetic vehicle is East-North-Up at its "
-       "origin):\n"
-       "  tum        t x y z qx qy qz qw, for evo and other viewers\n"
-       "  kitti      twelve numbers, the body's axes being forward, left, up; "
-       "no times\n"
-       "  csv        with a header line: "
-       "sequence,t_s,est_x,est_y,est_z,est_yaw,"
-       "qx,qy,qz,qw\n"
-       "             and the covariance's upper triangle\n"
-       "  g2o        for optimisers: VERTEX_SE2 or, for spatial vehicles, "
-       "VERTEX_SE3:QUAT, whose\n"
-       "             ids are sequences; an edge from each pose to the next "
-       "as they were\n"
-       "             sent, with the uncertainty that the step adds; an edge for "
-       "each loop closure,\n"
-       "             as measured\n"
-       "The graph of nodes, spaced evenly, on which searches are made:\n"
-       "  jsonl      a JSON object a line: {\"vehicle\": ...}, then {\"node\": "
-       "...} for each node,\n"
-       "             then {\"edge\": ...} for each edge; protobuf JSON\n"
-       "  nodes-csv  with a header line: index,sequence,fraction,t_s,"
-       "travelled_m,x_m,y_m,z_m,\n"
-       "             heading_rad and the covariance's upper triangle\n"
-       "  edges-csv  the same: from_index,to_index,kind\n"
-       "  geojson    for vehicles that stream geodetic positions: the "
-       "trajectory, loop closures\n"
-       "             and rejected candidates in longitude and latitude\n"
-       "Numbers read back to the same bits. revisit revise brings optimised "
-       "poses back.",
-       "  revisit export shuttle-7 > graph.jsonl\n"
-       "  revisit export shuttle-7 --format g2o --output shuttle-7.g2o\n"
-       "  revisit export shuttle-7 --format tum --output shuttle-7.tum"});
+       kExportDetails, kExportExamples});
   const Words formats = {
       {"jsonl", static_cast<int>(ExportFormat::kJsonLines)},
       {"nodes-csv", static_cast<int>(ExportFormat::kNodesCsv)},

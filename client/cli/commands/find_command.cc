@@ -36,13 +36,7 @@ void AddFindCommand(const Command& program) {
       [options](bool exhaustive) { options->set_exhaustive(exhaustive); },
       "Look at all of history, and answer also what is too improbable to be "
       "accepted");
-  command.AddChoice(
-      "--direction", WordsOf(v1::Direction_descriptor()),
-      [options](int direction) {
-        options->set_direction(static_cast<v1::Direction>(direction));
-      },
-      "Which way the place was passed before, against the way it is passed now "
-      "(same)");
+  AddDirection(command, options);
   AddSearchSettings(command, options);
   command.Runs([request](const Connection& server, const Terminal& terminal) {
     return RunFind(server.client, *request, terminal);

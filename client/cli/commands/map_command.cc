@@ -13,20 +13,45 @@
 
 namespace revisit::client {
 
+namespace {
+
+constexpr char kMapDetails[] =
+    "Shows what the server knows: the trajectory, the 95 % uncertainty at "
+    "each check, the\n"
+    "candidates by verdict, and what was confirmed and rejected. Candidates "
+    "are asked for\n"
+    "along the whole path, as a stream's checks would have been, with the "
+    "closures and\n"
+    "rejections that there are now.";
+
+constexpr char kMapExamples[] =
+    "  revisit map shuttle-7 --output shuttle-7.html\n"
+    "  revisit map shuttle-7 --svg --direction either > shuttle-7.svg\n"
+    "  revisit map shuttle-7 --geojson --check-interval 200 --output "
+    "shuttle-7.geojson";
+
+// Says what is wrong with the flags taken together; empty if nothing is.
+std::string CheckOptions(const Command& command, const MapOptions& options) {
+  if (command.Given("--html") + command.Given("--svg") +
+          command.Given("--geojson") >
+      1) {
+    return "--html, --svg, --geojson: one of them only";
+  }
+  if (options.searches.interval_meters.value_or(1.0) <= 0.0) {
+    return "--check-interval: must be positive";
+  }
+  if (options.searches.per_second <= 0.0) {
+    return "--searches-per-second: must be positive";
+  }
+  return "";
+}
+
+}  // namespace
+
 void AddMapCommand(const Command& program) {
   const Command command = program.AddCommand(
       {"map", "Draws a vehicle's trajectory with its loop-closure candidates.",
-       "Shows what the server knows: the trajectory, the 95 % uncertainty at "
-       "each check, the\n"
-       "candidates by verdict, and what was confirmed and rejected. Candidates "
-       "are asked for\n"
-       "along the whole path, as a stream's checks would have been, with the "
-       "closures and\n"
-       "rejections that there are now.",
-       "  revisit map shuttle-7 --output shuttle-7.html\n"
-       "  revisit map shuttle-7 --svg --direction either > shuttle-7.svg\n"
-       "  revisit map shuttle-7 --geojson --check-interval 200 --output "
-       "shuttle-7.geojson"});
+       kMapDetails, kMapExamples});
   const auto options = std::make_shared<MapOptions>();
   AddVehicleName(command, &options->vehicle);
   const auto add_format = [&](const char* name, MapFormat format,
@@ -49,27 +74,9 @@ void AddMapCommand(const Command& program) {
       "Travelled distance between two searches (the vehicle's own)");
   command.AddNumber("--searches-per-second", "N", &options->searches.per_second,
                     "At most so many, for the sake of others");
-  command.AddChoice(
-      "--direction", WordsOf(v1::Direction_descriptor()),
-      [options](int direction) {
-        options->searches.options.set_direction(
-            static_cast<v1::Direction>(direction));
-      },
-      "Which way the place was passed before, against the way it is passed now "
-      "(same)");
-  const Check check = [command, options]() -> std::string {
-    if (command.Given("--html") + command.Given("--svg") +
-            command.Given("--geojson") >
-        1) {
-      return "--html, --svg, --geojson: one of them only";
-    }
-    if (options->searches.interval_meters.value_or(1.0) <= 0.0) {
-      return "--check-interval: must be positive";
-    }
-    if (options->searches.per_second <= 0.0) {
-      return "--searches-per-second: must be positive";
-    }
-    return "";
+  AddDirection(command, &options->searches.options);
+  const Check check = [command, options] {
+    return CheckOptions(command, *options);
   };
   command.Runs(
       [options](const Connection& server, const Terminal& terminal) {

@@ -8,6 +8,7 @@
 #include "client/answers/names.h"
 #include "client/answers/pages.h"
 #include "client/cli/commands/shared_flags.h"
+#include "client/formats/axes.h"
 #include "client/terminal/output_file.h"
 #include "google/protobuf/util/time_util.h"
 
@@ -75,8 +76,11 @@ class PosePrinter {
       cells.push_back(Fixed(position.y_meters(), 3));
       cells.push_back(Fixed(position.z_meters(), 3));
     }
-    cells.push_back(pose.has_quaternion() ? "quaternion"
-                                          : Fixed(pose.heading_radians(), 5));
+    const v1::Quaternion& q = pose.quaternion();
+    cells.push_back(Fixed(pose.has_quaternion()
+                              ? HeadingOf({q.x(), q.y(), q.z(), q.w()})
+                              : pose.heading_radians(),
+                          5));
     return cells;
   }
 

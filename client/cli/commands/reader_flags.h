@@ -1,4 +1,4 @@
-// Flags that say how a recording is read.
+// The flags that say how recordings are read.
 #ifndef REVISIT_CLIENT_CLI_COMMANDS_READER_FLAGS_H_
 #define REVISIT_CLIENT_CLI_COMMANDS_READER_FLAGS_H_
 
@@ -7,8 +7,10 @@
 
 namespace revisit::client {
 
-// `options` must live until the command has run.
 void AddReaderFlags(const Command& command, ReaderOptions* options);
+
+// The same flags for the truth of a drive, such as --truth-axes.
+void AddTruthReaderFlags(const Command& command, ReaderOptions* options);
 
 }  // namespace revisit::client
 

@@ -189,6 +189,22 @@ class Messages {
   std::uint64_t count_ = 0;
 };
 
+// `missing` poses of the file are not among those that are kept.
+void Report(const v1::RevisePosesResponse& revised, const std::string& vehicle,
+            std::int64_t missing, const Terminal& terminal) {
+  if (terminal.json) {
+    terminal.out << ToJson(revised, true) << '\n';
+    return;
+  }
+  terminal.out << "revised " << revised.revised_count() << " poses of "
+               << Printable(vehicle) << ", revision " << revised.revision()
+               << '\n';
+  if (const std::int64_t dropped = missing + revised.dropped_count();
+      dropped > 0) {
+    terminal.out << dropped << " of the file are kept no longer\n";
+  }
+}
+
 }  // namespace
 
 void AddReviseCommand(const Command& program) {
@@ -268,17 +284,7 @@ absl::Status RunRevise(const Client& client, const ReviseOptions& options,
   }
   const auto revised = messages.Send(client);
   if (!revised.ok()) return revised.status();
-  if (terminal.json) {
-    terminal.out << ToJson(*revised, true) << '\n';
-  } else {
-    terminal.out << "revised " << revised->revised_count() << " poses of "
-                 << Printable(vehicle->name()) << ", revision "
-                 << revised->revision() << '\n';
-    if (const std::int64_t dropped = *missing + revised->dropped_count();
-        dropped > 0) {
-      terminal.out << dropped << " of the file are kept no longer\n";
-    }
-  }
+  Report(*revised, vehicle->name(), *missing, terminal);
   return absl::OkStatus();
 }
 

@@ -1,6 +1,7 @@
 #include "client/cli/commands/sample_sender.h"
 
 #include <algorithm>
+#include <cmath>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -38,12 +39,40 @@ PoseStreamOptions MakeStreamOptions(const StreamOptions& options,
     stream.vehicle_uid = vehicle.uid();
   }
   stream.send_candidates = options.candidates;
+  stream.candidate_options = options.candidate_options;
   stream.give_up_after = options.give_up_after;
   return stream;
 }
 
 std::string SessionKey(const std::string& session) {
   return absl::StrCat("session.", session);
+}
+
+// Path over which covariances of dead reckoning have to grow.
+constexpr double kGrowthMeters = 20.0;
+
+enum class Growth { kNone, kUnknown, kGrows };
+
+// Whether covariances of dead reckoning could be what the samples state: they
+// grow along the path. Those that a driver writes into every message do not.
+Growth GrowthOf(const std::deque<Sample>& samples) {
+  const auto size = [](const Sample& sample) {
+    return (*sample.covariance)[0] + (*sample.covariance)[3];
+  };
+  double length = 0.0;
+  for (std::size_t i = 1; i < samples.size(); ++i) {
+    length += std::hypot(samples[i].estimate.x - samples[i - 1].estimate.x,
+                         samples[i].estimate.y - samples[i - 1].estimate.y);
+  }
+  if (length < kGrowthMeters) return Growth::kUnknown;
+  return size(samples.back()) > size(samples.front()) ? Growth::kGrows
+                                                      : Growth::kNone;
+}
+
+bool HaveCovariances(const std::deque<Sample>& samples) {
+  return std::all_of(samples.begin(), samples.end(), [](const Sample& sample) {
+    return sample.covariance.has_value();
+  });
 }
 
 bool IsFilter(const v1::Vehicle& vehicle) {
@@ -147,8 +176,9 @@ absl::StatusOr<v1::Vehicle> SampleSender::GetOrCreate(const Sample& first) {
   get.set_name(VehicleName(options_.vehicle));
   const auto found = client.GetVehicle(get);
   if (found.ok()) return found->vehicle();
-  if (!options_.create || !absl::IsNotFound(found.status())) {
-    return found.status();
+  if (!absl::IsNotFound(found.status())) return found.status();
+  if (!options_.create) {
+    return WithHint(found.status(), "--create makes the vehicle");
   }
   v1::CreateVehicleRequest create;
   create.set_vehicle_id(get.name().substr(get.name().find('/') + 1));
@@ -168,6 +198,22 @@ absl::StatusOr<v1::Vehicle> SampleSender::GetOrCreate(const Sample& first) {
   const auto created = client.CreateVehicle(create);
   if (!created.ok()) return created.status();
   return created->vehicle();
+}
+
+absl::Status SampleSender::CheckThatErrorsAreKnown(const Sample& first) const {
+  // Latitudes and longitudes are a receiver's, and so is what states how good a
+  // position is.
+  if (options_.uncertainty_given || first.geodetic.has_value() ||
+      !first.heading_variance.has_value() || first.covariance.has_value() ||
+      options_.reader.frame == Frame::kLocal) {
+    return absl::OkStatus();
+  }
+  return LocalError(absl::InvalidArgumentError(absl::StrCat(
+      file_,
+      ": has positions without a heading, and does not say what errors they "
+      "have: --uncertainty fixes if each has its own, as a receiver's "
+      "(--fix-sigma M says how large), --uncertainty model if they add up "
+      "along the drive, as those of odometry (--sigma-along and so on)")));
 }
 
 absl::Status SampleSender::CheckThatSamplesFit(const Sample& first) const {
@@ -209,12 +255,61 @@ absl::Status SampleSender::CheckThatSamplesFit(const Sample& first) const {
   return absl::OkStatus();
 }
 
-void SampleSender::ChooseUncertainty(const Sample& first) {
-  UncertaintyOptions uncertainty = options_.uncertainty;
-  if (!options_.uncertainty_given &&
-      (first.heading_variance.has_value() || IsFilter(vehicle_))) {
-    uncertainty.source = UncertaintyOptions::Source::kFixes;
+UncertaintyOptions::Source SampleSender::SourceOfClaims() const {
+  using Source = UncertaintyOptions::Source;
+  if (options_.uncertainty_given) return options_.uncertainty.source;
+  if (held_.front().heading_variance.has_value() || IsFilter(vehicle_)) {
+    return Source::kFixes;
   }
+  return HaveCovariances(held_) && GrowthOf(held_) == Growth::kGrows
+             ? Source::kFile
+             : Source::kModel;
+}
+
+void SampleSender::NoteUncertainty() const {
+  if (options_.uncertainty_given || !HaveCovariances(held_) ||
+      source_ == UncertaintyOptions::Source::kFixes) {
+    return;
+  }
+  terminal_.progress << Printable(file_);
+  switch (GrowthOf(held_)) {
+    case Growth::kGrows:
+      terminal_.progress
+          << ": its covariances are claimed (--uncertainty file; "
+             "model claims those of --sigma-along and so on)\n";
+      return;
+    case Growth::kNone:
+      terminal_.progress
+          << ": its covariances do not grow along the drive, as errors of dead "
+             "reckoning do, and are not claimed; --uncertainty file claims "
+             "them, fixes if each pose has errors of its own\n";
+      return;
+    case Growth::kUnknown:
+      terminal_.progress
+          << ": has covariances, of which the first poses do not show whether "
+             "they grow along the drive; they are not claimed without "
+             "--uncertainty file\n";
+      return;
+  }
+}
+
+std::string SampleSender::uncertainty() const {
+  switch (source_) {
+    case UncertaintyOptions::Source::kModel:
+      return "model";
+    case UncertaintyOptions::Source::kFile:
+      return "file";
+    case UncertaintyOptions::Source::kFixes:
+      return "fixes";
+  }
+  return "";
+}
+
+void SampleSender::ChooseUncertainty() {
+  source_ = SourceOfClaims();
+  NoteUncertainty();
+  UncertaintyOptions uncertainty = options_.uncertainty;
+  uncertainty.source = source_;
   claims_.emplace(uncertainty, file_);
   if (uncertainty.source == UncertaintyOptions::Source::kFixes &&
       vehicle_.settings().correlation_model() ==
@@ -274,13 +369,16 @@ absl::Status SampleSender::ContinueClaims() {
 
 absl::Status SampleSender::Open() {
   const Sample& first = held_.front();
+  if (absl::Status status = CheckThatErrorsAreKnown(first); !status.ok()) {
+    return status;
+  }
   auto vehicle = GetOrCreate(first);
   if (!vehicle.ok()) return vehicle.status();
   vehicle_ = *std::move(vehicle);
   if (absl::Status status = CheckThatSamplesFit(first); !status.ok()) {
     return status;
   }
-  ChooseUncertainty(first);
+  ChooseUncertainty();
   stream_ = std::make_unique<PoseStream>(channel_, vehicle_.name(),
                                          MakeStreamOptions(options_, vehicle_),
                                          callbacks_);

@@ -60,6 +60,8 @@ class SampleSender {
   const PoseStream& stream() const { return *stream_; }
   std::uint64_t already_durable() const { return already_durable_; }
   std::uint64_t taken() const { return taken_; }
+  // The word of --uncertainty for what was claimed. REQUIRES: as vehicle().
+  std::string uncertainty() const;
 
  private:
   absl::Status Open();
@@ -68,8 +70,14 @@ class SampleSender {
   // Adds to a fault of this machine what is durable.
   absl::Status WithDurableCount(const absl::Status& error) const;
   absl::StatusOr<v1::Vehicle> GetOrCreate(const Sample& first);
+  // INVALID_ARGUMENT if nobody has said what kind of errors positions without a
+  // heading have.
+  absl::Status CheckThatErrorsAreKnown(const Sample& first) const;
   absl::Status CheckThatSamplesFit(const Sample& first) const;
-  void ChooseUncertainty(const Sample& first);
+  UncertaintyOptions::Source SourceOfClaims() const;
+  void ChooseUncertainty();
+  // Tells which covariances are claimed, where the file has some.
+  void NoteUncertainty() const;
   absl::Status ContinueClaims();
   // FAILED_PRECONDITION if other poses have the session's name.
   absl::Status CheckThatSessionIsFree() const;
@@ -88,6 +96,7 @@ class SampleSender {
   std::chrono::steady_clock::time_point held_since_;
   bool opened_ = false;
   v1::Vehicle vehicle_;
+  UncertaintyOptions::Source source_ = UncertaintyOptions::Source::kModel;
   std::optional<UncertaintyClaims> claims_;
   std::unique_ptr<PoseStream> stream_;
   // Handles Ctrl-C from the opening of the stream to its end.

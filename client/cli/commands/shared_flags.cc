@@ -1,5 +1,6 @@
 #include "client/cli/commands/shared_flags.h"
 
+#include "client/answers/names.h"
 #include "client/formats/angles.h"
 
 namespace revisit::client {
@@ -19,6 +20,16 @@ void AddPoseView(const Command& command, v1::PoseView* view) {
                     "were sent");
 }
 
+void AddDirection(const Command& command, v1::CandidateOptions* options) {
+  command.AddChoice(
+      "--direction", WordsOf(v1::Direction_descriptor()),
+      [options](int direction) {
+        options->set_direction(static_cast<v1::Direction>(direction));
+      },
+      "Which way the place was passed before, against the way it is passed now "
+      "(same)");
+}
+
 void AddUncertainty(const Command& command, UncertaintyOptions* options) {
   using Source = UncertaintyOptions::Source;
   const Words sources = {{"model", static_cast<int>(Source::kModel)},
@@ -27,9 +38,9 @@ void AddUncertainty(const Command& command, UncertaintyOptions* options) {
   const Command group = command.Under("Claimed uncertainty");
   group.AddChoice(
       "--uncertainty", sources, &options->source,
-      "Dead reckoning with the sigmas below (model, the default), the file's "
-      "covariances plus the start's uncertainty, carried along (file), or the "
-      "file's as they are (fixes, the default for receivers and filters)");
+      "Dead reckoning with the sigmas below (model), the file's covariances "
+      "plus the start's uncertainty, carried along (file), or the file's as "
+      "they are (fixes, the default for receivers and filters)");
   group.AddNumber(
       "--sigma-along", "M", &options->along,
       "Standard deviation of odometry along the path, per square root of a "

@@ -6,6 +6,7 @@
 
 #include "client/cli/flags.h"
 #include "client/trajectory/dead_reckoning.h"
+#include "revisit/v1/candidate.pb.h"
 #include "revisit/v1/pose_graph_service.pb.h"
 
 namespace revisit::client {
@@ -15,6 +16,9 @@ void AddVehicleName(const Command& command, std::string* vehicle);
 
 // Which estimate of a vehicle's poses is meant.
 void AddPoseView(const Command& command, v1::PoseView* view);
+
+// Which passes of a place candidates are looked for among.
+void AddDirection(const Command& command, v1::CandidateOptions* options);
 
 // The uncertainty that is claimed for the poses of a drive file.
 void AddUncertainty(const Command& command, UncertaintyOptions* options);

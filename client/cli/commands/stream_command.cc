@@ -13,6 +13,7 @@
 #include "client/cli/commands/reader_flags.h"
 #include "client/cli/commands/sample_sender.h"
 #include "client/cli/commands/shared_flags.h"
+#include "client/cli/commands/stream_summary.h"
 #include "client/formats/text_lines.h"
 #include "client/revisit/pose_stream.h"
 #include "client/revisit/printable_text.h"
@@ -70,55 +71,33 @@ PoseStreamCallbacks MakeCallbacks(Tally* tally, Progress* progress,
   return callbacks;
 }
 
-// The report on a stream that has ended well.
-struct Summary {
-  std::string vehicle;
-  std::string vehicle_uid;
-  std::size_t poses = 0;
-  std::uint64_t already_durable = 0;
-  std::uint64_t durable = 0;
-  std::uint64_t revision = 0;
-  std::int64_t jumps = 0;
-  int reconnects = 0;
-  double seconds = 0.0;
-  // Absent where candidates were not asked for.
-  std::optional<std::int64_t> checks;
-};
+constexpr char kStreamDetails[] =
+    "Pose i of all FILEs gets sequence i; - is the standard input, whose "
+    "poses are sent as\nthey arrive. A broken connection is made again. "
+    "Stopped, by Ctrl-C too, and run again, it goes on where\nthe server's "
+    "durable poses "
+    "end, after the server has compared the last of them with the\nfile's. "
+    "Truth in the file is not sent.\n\n"
+    "Compressed files (gzip, zstd) are read too. Receivers' fixes (rtklib, "
+    "gpx, nmea) become\ngeodetic poses that face where they move; where "
+    "they do not move, they are left out. What\nlooks like wrong axes, "
+    "units or orders is refused; the message says which flag mends it.\n\n"
+    "Covariances of the file are claimed where they grow along the drive; the "
+    "last lines say what was claimed, and how long the drive is.";
 
-void PrintJson(const Summary& summary, std::ostream& out) {
-  nlohmann::ordered_json json;
-  json["vehicle"] = summary.vehicle;
-  json["vehicleUid"] = summary.vehicle_uid;
-  json["poses"] = summary.poses;
-  json["alreadyDurable"] = summary.already_durable;
-  json["durableSequence"] = summary.durable;
-  json["revision"] = summary.revision;
-  json["jumps"] = summary.jumps;
-  json["reconnects"] = summary.reconnects;
-  json["seconds"] = summary.seconds;
-  if (summary.checks.has_value()) json["checks"] = *summary.checks;
-  out << JsonText(json, false) << '\n';
-}
-
-void PrintText(const Summary& summary, std::ostream& out) {
-  const std::uint64_t sent = summary.durable - summary.already_durable;
-  const double rate =
-      summary.seconds > 0.0 ? static_cast<double>(sent) / summary.seconds : 0.0;
-  std::vector<std::pair<std::string, std::string>> fields = {
-      {"vehicle", summary.vehicle},
-      {"vehicle uid", summary.vehicle_uid},
-      {"already durable", absl::StrCat(summary.already_durable)},
-      {"streamed", absl::StrCat(sent, " poses in ", Fixed(summary.seconds, 2),
-                                " s, ", Fixed(rate, 0), "/s")},
-      {"durable sequence", absl::StrCat(summary.durable)},
-      {"revision", absl::StrCat(summary.revision)},
-      {"jumps", absl::StrCat(summary.jumps)},
-      {"reconnects", absl::StrCat(summary.reconnects)}};
-  if (summary.checks.has_value()) {
-    fields.emplace_back("checks", absl::StrCat(*summary.checks));
-  }
-  PrintFields(fields, out);
-}
+constexpr char kStreamExamples[] =
+    "  revisit stream drive.csv --vehicle shuttle-7\n"
+    "  revisit stream poses.txt --axes camera --times times.txt --vehicle "
+    "shuttle-7 --create\n"
+    "  revisit stream log.csv --columns t=time,x=east,y=north,yaw=psi "
+    "--vehicle shuttle-7\n"
+    "  revisit stream log.txt --columns t=1,x=2,y=3,yaw=4 --vehicle "
+    "shuttle-7\n"
+    "  revisit stream tuesday.pos --vehicle shuttle-7 --append --session "
+    "tuesday\n"
+    "  ros2 topic echo --csv /odom | revisit stream - --vehicle shuttle-7\n"
+    "  revisit stream drive.csv --vehicle shuttle-7 --candidates "
+    "--direction either --json";
 
 // Adds the flags that say what becomes of the poses.
 void AddVehicleFlags(const Command& command, StreamOptions* options) {
@@ -146,6 +125,7 @@ void AddVehicleFlags(const Command& command, StreamOptions* options) {
                   "session.NAME");
   command.AddSwitch("--candidates", &options->candidates,
                     "Print the candidates of every check that falls due");
+  AddDirection(command, &options->candidate_options);
 }
 
 // A label's key is session. and the name.
@@ -183,30 +163,99 @@ void AddResuming(const Command& command, StreamOptions* options) {
       "refuses writes until accept-loss");
 }
 
+// Settles which words are files and which is the vehicle. Says what is wrong
+// with the flags taken together; empty if nothing is.
+std::string FinishOptions(const Command& command, StreamOptions* options) {
+  options->uncertainty_given = command.Given("--uncertainty");
+  if (options->vehicle.empty() && options->files.size() > 1) {
+    options->vehicle = options->files.back();
+    options->files.pop_back();
+  }
+  if (options->vehicle.empty()) return "--vehicle is required";
+  if (command.Given("--direction") && !options->candidates) {
+    return "--direction: goes with --candidates";
+  }
+  if (std::string problem = CheckSession(options->session); !problem.empty()) {
+    return problem;
+  }
+  std::error_code error;
+  if (options->files.back() == options->vehicle &&
+      !std::filesystem::exists(options->vehicle, error)) {
+    return absl::StrCat("--vehicle: ", options->vehicle, " is named twice");
+  }
+  const auto pipes =
+      std::count(options->files.begin(), options->files.end(), "-");
+  return pipes > 1 ? "FILE: the standard input can be read once only" : "";
+}
+
+// A file that is not there shows before the first one is sent. Those that are
+// there may be pipes, which can be opened once only.
+absl::Status CheckThatFilesAreThere(const std::vector<std::string>& files) {
+  for (const std::string& file : files) {
+    std::error_code error;
+    if (file == "-" || std::filesystem::exists(file, error)) continue;
+    const auto bytes = OpenBytes(file, nullptr);
+    if (!bytes.ok()) return LocalError(bytes.status());
+  }
+  return absl::OkStatus();
+}
+
+// Sends a file to its end. False, with `ended` set, if the stream is over.
+bool SendFile(const std::string& file, const ReaderOptions& options,
+              SampleSender* sender, StreamSummary* summary,
+              absl::Status* ended) {
+  sender->BeginFile(file);
+  summary->drive.BeginFile();
+  const auto reader = OpenSamples(file, options);
+  if (!reader.ok()) {
+    *ended = sender->FinishAfter(reader.status());
+    return false;
+  }
+  for (;;) {
+    const auto sample = (*reader)->Next();
+    if (!sample.ok()) {
+      *ended = sender->FinishAfter(sample.status());
+      return false;
+    }
+    if (!sample->has_value()) break;
+    summary->drive.Add(**sample);
+    if (!sender->Take(**sample).ok()) {
+      *ended = sender->Finish();
+      return false;
+    }
+  }
+  const LeftOut left_out = (*reader)->left_out();
+  summary->left_out.standing += left_out.standing;
+  summary->left_out.wrong_checksums += left_out.wrong_checksums;
+  return true;
+}
+
+// Adds what the sender and the answers know in the end.
+void FinishSummary(const StreamOptions& options, const SampleSender& sender,
+                   Tally* tally, StreamSummary* summary) {
+  summary->vehicle = sender.vehicle().name();
+  summary->vehicle_uid = sender.stream().vehicle_uid();
+  summary->poses = sender.taken();
+  summary->uncertainty = sender.uncertainty();
+  summary->already_durable = sender.already_durable();
+  summary->durable = sender.stream().acked_sequence();
+  summary->reconnects = sender.stream().reconnects();
+  const MutexLock lock(&tally->mutex);
+  summary->revision = std::max(tally->revision, sender.vehicle().revision());
+  summary->jumps = tally->jumps;
+  if (!options.candidates) return;
+  summary->checks = tally->checks;
+  const v1::Direction direction = options.candidate_options.direction();
+  summary->same_direction_only =
+      direction == v1::DIRECTION_UNSPECIFIED || direction == v1::DIRECTION_SAME;
+}
+
 }  // namespace
 
 void AddStreamCommand(const Command& program) {
   const Command command = program.AddCommand(
       {"stream", "Streams the poses of files or of a pipe into a vehicle.",
-       "Pose i of all FILEs gets sequence i; - is the standard input, whose "
-       "poses are sent as\nthey arrive. A broken connection is made again. "
-       "Stopped, by Ctrl-C too, and run again, it goes on where\nthe server's "
-       "durable poses "
-       "end, after the server has compared the last of them with the\nfile's. "
-       "Truth in the file is not sent.\n\n"
-       "Compressed files (gzip, zstd) are read too. Receivers' fixes (rtklib, "
-       "gpx, nmea) become\ngeodetic poses that face where they move; where "
-       "they do not move, they are left out. What\nlooks like wrong axes, "
-       "units or orders is refused; the message says which flag mends it.",
-       "  revisit stream drive.csv --vehicle shuttle-7\n"
-       "  revisit stream poses.txt --axes camera --times times.txt --vehicle "
-       "shuttle-7 --create\n"
-       "  revisit stream log.csv --columns t=time,x=east,y=north,yaw=psi "
-       "--vehicle shuttle-7\n"
-       "  revisit stream tuesday.pos --vehicle shuttle-7 --append --session "
-       "tuesday\n"
-       "  ros2 topic echo --csv /odom | revisit stream - --vehicle shuttle-7\n"
-       "  revisit stream drive.csv --vehicle shuttle-7 --candidates --json"});
+       kStreamDetails, kStreamExamples});
   const auto options = std::make_shared<StreamOptions>();
   const auto give_up_seconds = std::make_shared<double>(60.0);
   command
@@ -222,25 +271,8 @@ void AddStreamCommand(const Command& program) {
                     "Seconds without progress; 0 tries for ever");
   AddReaderFlags(command, &options->reader);
   AddUncertainty(command, &options->uncertainty);
-  const Check check = [command, options]() -> std::string {
-    options->uncertainty_given = command.Given("--uncertainty");
-    if (options->vehicle.empty() && options->files.size() > 1) {
-      options->vehicle = options->files.back();
-      options->files.pop_back();
-    }
-    if (options->vehicle.empty()) return "--vehicle is required";
-    if (std::string problem = CheckSession(options->session);
-        !problem.empty()) {
-      return problem;
-    }
-    std::error_code error;
-    if (options->files.back() == options->vehicle &&
-        !std::filesystem::exists(options->vehicle, error)) {
-      return absl::StrCat("--vehicle: ", options->vehicle, " is named twice");
-    }
-    const auto pipes =
-        std::count(options->files.begin(), options->files.end(), "-");
-    return pipes > 1 ? "FILE: the standard input can be read once only" : "";
+  const Check check = [command, options] {
+    return FinishOptions(command, options.get());
   };
   const Run run = [options, give_up_seconds](const Connection& server,
                                              const Terminal& terminal) {
@@ -264,23 +296,14 @@ absl::Status RunStream(const std::shared_ptr<grpc::Channel>& channel,
   ReaderOptions reader_options = options.reader;
   reader_options.before_wait = [&sender] { return sender.BeforeWait(); };
   const auto start = Clock::now();
-  for (const std::string& file : options.files) {
-    // A file that is not there shows before the first one is sent. Those that
-    // are there may be pipes, which can be opened once only.
-    std::error_code error;
-    if (file == "-" || std::filesystem::exists(file, error)) continue;
-    const auto bytes = OpenBytes(file, nullptr);
-    if (!bytes.ok()) return LocalError(bytes.status());
+  if (absl::Status there = CheckThatFilesAreThere(options.files); !there.ok()) {
+    return there;
   }
+  StreamSummary summary;
+  absl::Status ended;
   for (const std::string& file : options.files) {
-    sender.BeginFile(file);
-    const auto reader = OpenSamples(file, reader_options);
-    if (!reader.ok()) return sender.FinishAfter(reader.status());
-    for (;;) {
-      const auto sample = (*reader)->Next();
-      if (!sample.ok()) return sender.FinishAfter(sample.status());
-      if (!sample->has_value()) break;
-      if (!sender.Take(**sample).ok()) return sender.Finish();
+    if (!SendFile(file, reader_options, &sender, &summary, &ended)) {
+      return ended;
     }
   }
   if (sender.taken() == 0) {
@@ -289,24 +312,9 @@ absl::Status RunStream(const std::shared_ptr<grpc::Channel>& channel,
   }
   if (absl::Status finished = sender.Finish(); !finished.ok()) return finished;
   if (absl::Status kept = sender.KeepSession(); !kept.ok()) return kept;
-
-  Summary summary;
-  summary.vehicle = sender.vehicle().name();
-  summary.vehicle_uid = sender.stream().vehicle_uid();
-  summary.poses = sender.taken();
-  summary.already_durable = sender.already_durable();
-  summary.durable = sender.stream().acked_sequence();
-  summary.reconnects = sender.stream().reconnects();
   summary.seconds = std::chrono::duration<double>(Clock::now() - start).count();
-  const MutexLock lock(&tally.mutex);
-  summary.revision = std::max(tally.revision, sender.vehicle().revision());
-  summary.jumps = tally.jumps;
-  if (options.candidates) summary.checks = tally.checks;
-  if (terminal.json) {
-    PrintJson(summary, terminal.out);
-  } else {
-    PrintText(summary, terminal.out);
-  }
+  FinishSummary(options, sender, &tally, &summary);
+  Print(summary, terminal);
   return absl::OkStatus();
 }
 

@@ -15,6 +15,7 @@
 #include "client/revisit/client.h"
 #include "client/terminal/terminal.h"
 #include "client/trajectory/dead_reckoning.h"
+#include "revisit/v1/candidate.pb.h"
 
 namespace grpc {
 class Channel;
@@ -29,9 +30,10 @@ struct StreamOptions {
   std::vector<std::string> files;
   ReaderOptions reader;
   std::string vehicle;
-  // `uncertainty.source` counts only where it was given: fixes, and what goes
-  // to a vehicle with error transitions, are otherwise claimed as the file
-  // states them.
+  // `uncertainty.source` counts only where it was given. Otherwise fixes, and
+  // what goes to a vehicle with error transitions, are claimed as the file
+  // states them, and so are covariances that grow along the drive; all else is
+  // claimed by the model.
   UncertaintyOptions uncertainty;
   bool uncertainty_given = false;
   // Whether to create the vehicle if there is none, with `settings`, the frame
@@ -49,8 +51,10 @@ struct StreamOptions {
   std::uint64_t acked_sequence = 0;
   // The uid of the vehicle that is meant; empty for whichever has the name.
   std::string vehicle_uid;
-  // Whether to print the candidates of each check that falls due.
+  // Whether to print the candidates of each check that falls due, and how they
+  // are looked for.
   bool candidates = false;
+  v1::CandidateOptions candidate_options;
   // How long to try without progress; for ever if absent.
   std::optional<std::chrono::milliseconds> give_up_after;
 };

@@ -213,6 +213,38 @@ void AddDelete(const Command& vehicle) {
   command.Runs(run, check);
 }
 
+void AddLabels(const v1::Vehicle& vehicle, Fields* fields) {
+  // A map of protobuf has no order of its own.
+  const std::map<std::string, std::string> labels(vehicle.labels().begin(),
+                                                  vehicle.labels().end());
+  for (const auto& [key, value] : labels) {
+    fields->emplace_back(absl::StrCat("label ", key), value);
+  }
+}
+
+void PrintTable(const v1::ListVehiclesResponse& list,
+                const Terminal& terminal) {
+  using Align = Table::Align;
+  Table table({{"VEHICLE", Align::kLeft},
+               {"STATE", Align::kLeft},
+               {"POSES", Align::kRight},
+               {"REVISION", Align::kRight},
+               {"CLOSURES", Align::kRight},
+               {"SPACE", Align::kLeft},
+               {"MODEL", Align::kLeft},
+               {"CREATED", Align::kLeft}});
+  for (const v1::Vehicle& vehicle : list.vehicles()) {
+    table.AddRow({vehicle.name(), NameOf(vehicle.state()),
+                  absl::StrCat(vehicle.durable_sequence()),
+                  absl::StrCat(vehicle.revision()),
+                  absl::StrCat(vehicle.loop_closure_count()),
+                  NameOf(vehicle.settings().state_space()),
+                  NameOf(vehicle.settings().correlation_model()),
+                  CreateTime(vehicle)});
+  }
+  table.Print(terminal.out, terminal.width);
+}
+
 }  // namespace
 
 void AddVehicleCommand(const Command& program) {
@@ -247,12 +279,7 @@ void PrintVehicle(const v1::Vehicle& vehicle, const Terminal& terminal) {
   if (!vehicle.display_name().empty()) {
     fields.insert(fields.begin() + 1, {"display name", vehicle.display_name()});
   }
-  // A map of protobuf has no order of its own.
-  const std::map<std::string, std::string> labels(vehicle.labels().begin(),
-                                                  vehicle.labels().end());
-  for (const auto& [key, value] : labels) {
-    fields.emplace_back(absl::StrCat("label ", key), value);
-  }
+  AddLabels(vehicle, &fields);
   for (auto& setting : DescribeSettings(settings)) {
     fields.push_back(std::move(setting));
   }
@@ -344,25 +371,7 @@ absl::Status RunVehicleList(const Client& client, const Terminal& terminal) {
     terminal.out << ToJson(all, true) << '\n';
     return absl::OkStatus();
   }
-  using Align = Table::Align;
-  Table table({{"VEHICLE", Align::kLeft},
-               {"STATE", Align::kLeft},
-               {"POSES", Align::kRight},
-               {"REVISION", Align::kRight},
-               {"CLOSURES", Align::kRight},
-               {"SPACE", Align::kLeft},
-               {"MODEL", Align::kLeft},
-               {"CREATED", Align::kLeft}});
-  for (const v1::Vehicle& vehicle : all.vehicles()) {
-    table.AddRow({vehicle.name(), NameOf(vehicle.state()),
-                  absl::StrCat(vehicle.durable_sequence()),
-                  absl::StrCat(vehicle.revision()),
-                  absl::StrCat(vehicle.loop_closure_count()),
-                  NameOf(vehicle.settings().state_space()),
-                  NameOf(vehicle.settings().correlation_model()),
-                  CreateTime(vehicle)});
-  }
-  table.Print(terminal.out, terminal.width);
+  PrintTable(all, terminal);
   return absl::OkStatus();
 }
 

@@ -8,14 +8,14 @@
             stream.finish()
             found = revisit.candidate_table(stream.take_candidates())
 
-`revisit.v1` has the messages of the API.
+`revisit.aio` has the same for asyncio, `revisit.v1` the messages of the API.
 """
 
-from revisit import v1
+from revisit import aio, v1
 from revisit._version import __version__
 from revisit.arrays import Poses
 from revisit.backoff import BackoffOptions
-from revisit.client import Client, PoseGraph
+from revisit.client import Client
 from revisit.errors import (
     Aborted,
     AlreadyExists,
@@ -37,9 +37,12 @@ from revisit.errors import (
     Unimplemented,
     VehicleReplaced,
 )
+from revisit.maps import Map
 from revisit.pose_stream import PoseStream
-from revisit.stream_options import StreamCallbacks, StreamOptions
+from revisit.recordings import RecordingError, iter_recording, read_recording
+from revisit.stream_options import ProgressBar, StreamCallbacks, StreamOptions
 from revisit.tables import (
+    PoseGraph,
     Table,
     candidate_table,
     check_table,
@@ -50,9 +53,10 @@ from revisit.tables import (
 __all__ = [
     "Aborted", "AlreadyExists", "BackoffOptions", "Cancelled", "Client", "DataLoss",
     "DeadlineExceeded", "Error", "FailedPrecondition", "FieldViolation", "Internal",
-    "InvalidArgument", "NotFound", "OutOfRange", "PermissionDenied", "PoseGraph",
-    "PoseStream", "Poses", "QuotaViolation", "ResourceExhausted", "StreamCallbacks",
-    "StreamOptions", "Table", "Unauthenticated", "Unavailable", "Unimplemented",
-    "VehicleReplaced", "__version__", "candidate_table", "check_table", "edge_table",
-    "node_table", "v1",
+    "InvalidArgument", "Map", "NotFound", "OutOfRange", "PermissionDenied",
+    "PoseGraph", "PoseStream", "Poses", "ProgressBar", "QuotaViolation",
+    "RecordingError", "ResourceExhausted", "StreamCallbacks", "StreamOptions",
+    "Table", "Unauthenticated", "Unavailable", "Unimplemented", "VehicleReplaced",
+    "__version__", "aio", "candidate_table", "check_table", "edge_table",
+    "iter_recording", "node_table", "read_recording", "v1",
 ]

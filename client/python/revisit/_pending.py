@@ -50,20 +50,25 @@ class PendingPoses:
                                       taken[-1][0].sequence)
         return v1.PoseBatch(poses=[pose for pose, _ in taken])
 
-    def drop_acknowledged(self, durable_sequence: int) -> None:
-        """Forgets the sent poses up to this sequence."""
-        while self._sent and self._sent[0][0].sequence <= durable_sequence:
-            self.bytes -= self._sent.popleft()[1]
+    def drop_acknowledged(self, durable_sequence: int) -> int:
+        """Forgets the sent poses up to this sequence; how many those are."""
+        return self._drop(self._sent, durable_sequence)
+
+    def _drop(self, poses: collections.deque[tuple[v1.Pose, int]],
+              last_sequence: int) -> int:
+        before = len(poses)
+        while poses and poses[0][0].sequence <= last_sequence:
+            self.bytes -= poses.popleft()[1]
+        return before - len(poses)
 
     def start_over(self) -> None:
         """Counts all poses as unsent, for a new connection."""
         self._unsent.extendleft(reversed(self._sent))
         self._sent.clear()
 
-    def resume(self, durable_sequence: int) -> None:
-        """Forgets what a new connection says is durable. What lies above the
-        last sent sequence and is durable already came from elsewhere: it stays,
-        so that the server compares it."""
-        limit = min(durable_sequence, self.last_sent_sequence)
-        while self._unsent and self._unsent[0][0].sequence <= limit:
-            self.bytes -= self._unsent.popleft()[1]
+    def resume(self, durable_sequence: int) -> int:
+        """Forgets what a new connection says is durable; how many poses that are.
+        What lies above the last sent sequence and is durable already came from
+        elsewhere: it stays, so that the server compares it."""
+        return self._drop(self._unsent,
+                          min(durable_sequence, self.last_sent_sequence))

@@ -16,6 +16,7 @@ API), `covariance`, `error_transition`. The metadata have `vehicle` and `vehicle
 from __future__ import annotations
 
 import dataclasses
+import datetime
 import itertools
 import os
 import pathlib
@@ -27,7 +28,7 @@ import pyarrow
 from pyarrow import parquet
 
 from revisit import v1
-from revisit.arrays import Poses
+from revisit.arrays import Poses, nanoseconds_of
 from revisit.client import Client
 
 _NANOSECONDS = 1_000_000_000
@@ -58,10 +59,11 @@ class Archived:
 
 def write(path: Union[str, os.PathLike[str]], client: Client, vehicle: str, *,
           first_sequence: int = 1, last_sequence: Optional[int] = None,
-          before: Optional[np.datetime64] = None) -> Archived:
+          before: Union[np.datetime64, datetime.datetime, None] = None) -> Archived:
     """Writes the poses of a vehicle as they are stored, from `first_sequence` up to
-    `last_sequence` and up to the first pose whose stamp is not before `before`, then
-    compares the file with the store, and gives it its name.
+    `last_sequence` and up to the first pose whose stamp is not before `before` (a
+    datetime has a time zone, a datetime64 is UTC), then compares the file with the
+    store, and gives it its name.
 
     Raises FileExistsError if there is such a file, and Mismatch if poses were revised
     meanwhile or the file does not read back the same."""
@@ -69,7 +71,7 @@ def write(path: Union[str, os.PathLike[str]], client: Client, vehicle: str, *,
     if final.exists():
         raise FileExistsError(f"{final} is there already")
     partial = final.with_name(final.name + ".partial")
-    bounds = (first_sequence, last_sequence, before)
+    bounds = (first_sequence, last_sequence, _end_of(before))
     try:
         _write(partial, client.get_vehicle(vehicle),
                _stored(client, vehicle, *bounds))
@@ -87,11 +89,16 @@ def read(path: Union[str, os.PathLike[str]]) -> Poses:
     return Poses.from_messages(_messages(pathlib.Path(path)))
 
 
+def _end_of(before: Union[np.datetime64, datetime.datetime, None]) -> Optional[int]:
+    if before is None:
+        return None
+    if isinstance(before, datetime.datetime):
+        return nanoseconds_of(before)
+    return int(before.astype("datetime64[ns]").astype(np.int64))
+
+
 def _stored(client: Client, vehicle: str, first_sequence: int,
-            last_sequence: Optional[int],
-            before: Optional[np.datetime64]) -> Iterator[v1.Pose]:
-    end = None if before is None else int(
-        before.astype("datetime64[ns]").astype(np.int64))
+            last_sequence: Optional[int], end: Optional[int]) -> Iterator[v1.Pose]:
     for pose in client.list_poses(vehicle, first_sequence):
         if last_sequence is not None and pose.sequence > last_sequence:
             return

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import datetime
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any, Optional, Union
 
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from revisit import v1
+from revisit._display import html_table, spread
 
 if TYPE_CHECKING:
     import pandas
@@ -29,6 +31,22 @@ _SYMMETRY = 1e-9
 
 _NANOSECONDS = 1_000_000_000
 _NO_STAMP = np.datetime64("NaT", "ns")
+_EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.timezone.utc)
+
+
+#: The rotation of a body's axes forward, left, up into those of its name: x, y, z, w.
+_BODIES: dict[str, tuple[float, float, float, float]] = {
+    "flu": (0.0, 0.0, 0.0, 1.0), "camera": (0.5, -0.5, 0.5, 0.5),
+    "frd": (1.0, 0.0, 0.0, 0.0)}
+
+
+def _multiplied(rotations: Float, turn: tuple[float, float, float, float]) -> Float:
+    """The Hamilton product of quaternions (N, 4) with one on their right."""
+    x, y, z, w = rotations.T
+    a, b, c, d = turn
+    return np.column_stack([
+        w * a + x * d + y * c - z * b, w * b - x * c + y * d + z * a,
+        w * c + x * b - y * a + z * d, w * d - x * a - y * b - z * c])
 
 
 def _vector(values: ArrayLike, name: str, rows: Optional[int] = None) -> Float:
@@ -51,11 +69,41 @@ def _table(values: Optional[ArrayLike], name: str, rows: int,
     return array
 
 
+def nanoseconds_of(value: datetime.datetime) -> int:
+    """Nanoseconds since 1970 of a datetime that has a time zone. ValueError if it has
+    none: it may be local time or UTC."""
+    if value.tzinfo is None or value.utcoffset() is None:
+        raise ValueError(
+            f"the datetime {value} has no time zone: "
+            "value.replace(tzinfo=datetime.timezone.utc) says that it is UTC, "
+            "value.astimezone() that it is local time")
+    # One of pandas has nanoseconds too.
+    return ((value - _EPOCH) // datetime.timedelta(microseconds=1) * 1000
+            + getattr(value, "nanosecond", 0))
+
+
+def _stamp_of(value: object) -> np.datetime64:
+    # One of pandas that is absent is a datetime, but not equal to itself.
+    if value is None or value != value:
+        return _NO_STAMP
+    if isinstance(value, datetime.datetime):
+        return np.datetime64(nanoseconds_of(value), "ns")
+    raise TypeError(f"the stamp {value!r} is no datetime")
+
+
+def to_datetimes(stamps: NDArray[np.datetime64]) -> list[Optional[datetime.datetime]]:
+    """Datetimes with the time zone UTC, None for NaT."""
+    nanoseconds = stamps.astype("datetime64[ns]").astype(np.int64).tolist()
+    return [None if absent else _EPOCH + datetime.timedelta(microseconds=count // 1000)
+            for count, absent in zip(nanoseconds, np.isnat(stamps).tolist())]
+
+
 def to_stamps(values: Optional[ArrayLike], rows: int) -> NDArray[np.datetime64]:
-    """Stamps in nanoseconds from datetime64 of any unit, or from seconds since
-    1970 as floats (of which a double resolves some 200 ns today). Absent stamps
-    are NaT, or NaN among seconds. Whole numbers are refused: they may be seconds
-    or nanoseconds."""
+    """Stamps in nanoseconds from datetime64 of any unit, which is UTC; from datetimes
+    with a time zone; or from seconds since 1970 as floats (of which a double resolves
+    some 200 ns today). Absent stamps are NaT, None among datetimes, or NaN among
+    seconds. Refused, since they may mean one thing or another: datetimes without a
+    time zone (ValueError), and whole numbers (TypeError)."""
     stamps: NDArray[np.datetime64] = np.full(rows, _NO_STAMP)
     if values is None:
         return stamps
@@ -68,10 +116,14 @@ def to_stamps(values: Optional[ArrayLike], rows: int) -> NDArray[np.datetime64]:
             raise ValueError("stamps lie outside of the years 1678 to 2261, or are "
                              "finer than nanoseconds")
         return stamps
+    if array.dtype.kind == "O":
+        for row, value in enumerate(array.tolist()):
+            stamps[row] = _stamp_of(value)
+        return stamps
     if array.dtype.kind != "f":
-        raise TypeError(f"stamps are {array.dtype}: give datetime64, or seconds since "
-                        "1970 as floats; whole nanoseconds become datetime64 by "
-                        "astype('datetime64[ns]')")
+        raise TypeError(f"stamps are {array.dtype}: give datetime64, datetimes with a "
+                        "time zone, or seconds since 1970 as floats; whole nanoseconds "
+                        "become datetime64 by astype('datetime64[ns]')")
     seconds = array.astype(np.float64)
     missing = np.isnan(seconds)
     whole = np.floor(np.where(missing, 0.0, seconds))
@@ -269,6 +321,23 @@ class Poses:
         return dataclasses.replace(self, sequence=np.arange(
             first_sequence, first_sequence + len(self), dtype=np.uint64))
 
+    def with_body(self, axes: str = "flu", *, yaw: float = 0.0) -> Poses:
+        """The same poses, of a body whose axes are forward, left, up as the API wants
+        them, where the orientations are of one with other axes: `axes` "camera" (x
+        right, y down, z forward) or "frd" (forward, right, down), for quaternions only;
+        then turned by `yaw` radians about its z, counter-clockwise. Positions and
+        covariances are in fixed axes, and stay."""
+        if axes not in _BODIES:
+            raise ValueError(f"axes is {axes!r}: expected one of {', '.join(_BODIES)}")
+        with_heading = ~np.isnan(self.heading)
+        if axes != "flu" and with_heading.any():
+            raise ValueError(f"axes {axes} are those of quaternions, and "
+                             f"{with_heading.sum()} poses have only a heading")
+        turn = (0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2))
+        return dataclasses.replace(
+            self, heading=self.heading + yaw, quaternion=_multiplied(
+                _multiplied(self.quaternion, _BODIES[axes]), turn))
+
     def to_messages(self) -> Iterator[v1.Pose]:
         """The poses as the API has them, one after the other."""
         sequences = self.sequence.tolist()
@@ -306,16 +375,30 @@ class Poses:
                 pose.error_transition.extend(self.error_transition[row].tolist())
             yield pose
 
+    def times(self) -> list[Optional[datetime.datetime]]:
+        """The stamps with the time zone UTC, to the microsecond that a datetime
+        resolves; None where absent."""
+        return to_datetimes(self.stamp)
+
+    def _repr_html_(self) -> str:
+        """The first and last rows, for a notebook."""
+        columns: dict[str, NDArray[Any]] = {"sequence": self.sequence,
+                                            "stamp": self.stamp}
+        columns.update(zip(self._place_names(), self.position.T))
+        columns["heading"] = self.heading
+        return html_table(columns, f"{len(self)} poses")
+
+    def _place_names(self) -> tuple[str, str, str]:
+        return (("latitude", "longitude", "height")
+                if len(self) and self.is_geodetic.all() else ("x", "y", "z"))
+
     def to_pandas(self) -> pandas.DataFrame:
-        """A table with a row per pose, indexed by sequence. Needs pandas."""
+        """A table with a row per pose, indexed by sequence, its stamps with the time
+        zone UTC. Needs pandas."""
         import pandas
 
-        from revisit.tables import spread
-
-        columns: dict[str, NDArray[Any]] = {"stamp": self.stamp}
-        names = (("latitude", "longitude", "height") if self.is_geodetic.all()
-                 and len(self) else ("x", "y", "z"))
-        columns.update(zip(names, self.position.T))
+        columns: dict[str, Any] = {"stamp": pandas.DatetimeIndex(self.stamp, tz="UTC")}
+        columns.update(zip(self._place_names(), self.position.T))
         columns["heading"] = self.heading
         if not np.isnan(self.quaternion).all():
             columns.update(spread("quaternion", self.quaternion))
@@ -323,3 +406,6 @@ class Poses:
             columns.update(spread(name, getattr(self, name)))
         return pandas.DataFrame(
             columns, index=pandas.Index(self.sequence, name="sequence"))
+
+
+PosesLike = Union[Poses, Iterable[v1.Pose]]

@@ -23,7 +23,7 @@ from revisit.v1 import pose_graph_service_pb2_grpc as service
 PathLike = Union[str, "os.PathLike[str]"]
 Metadata = tuple[tuple[str, str], ...]
 
-_ARGUMENTS = (
+ARGUMENTS = (
     ("grpc.max_receive_message_length", 64 << 20),
     # Channels that share a connection would share its back-off too.
     ("grpc.use_local_subchannel_pool", 1),
@@ -110,7 +110,7 @@ def _credentials(options: ChannelOptions) -> Optional[grpc.ChannelCredentials]:
     return None
 
 
-def stub_of(channel: grpc.Channel) -> Any:
+def stub_of(channel: Any) -> Any:
     """The service, for which the generator of gRPC writes no types."""
     return service.PoseGraphServiceStub(channel)  # type: ignore[no-untyped-call]
 
@@ -119,7 +119,7 @@ class Lease:
     """A channel that is not closed as long as it is used. Counted by the lock of
     the `Channels` that it comes from."""
 
-    def __init__(self, channel: grpc.Channel) -> None:
+    def __init__(self, channel: Any) -> None:
         self.channel = channel
         self.users = 0
         self.is_retired = False
@@ -134,22 +134,21 @@ class Channels:
         """OSError if a file cannot be read; ValueError if one holds something else,
         or if certificate and key do not belong together or do not come together
         and with authorities. Connects on first use."""
-        self._address = options.address
+        self.options = options
         self._made_of = _credentials(options)
         self._lock = threading.Lock()
         self._closed = False
         self._leases: list[Lease] = []
-        self._newest = self._make()
+        self._newest: Optional[Lease] = None
 
-    def _make(self) -> Lease:
-        if self._made_of is None:
-            channel = grpc.insecure_channel(self._address, options=_ARGUMENTS)
-        else:
-            channel = grpc.secure_channel(self._address, self._made_of,
-                                          options=_ARGUMENTS)
-        lease = Lease(channel)
-        self._leases.append(lease)
-        return lease
+    def _open(self, credentials: Optional[grpc.ChannelCredentials]) -> Any:
+        if credentials is None:
+            return grpc.insecure_channel(self.options.address, options=ARGUMENTS)
+        return grpc.secure_channel(self.options.address, credentials,
+                                   options=ARGUMENTS)
+
+    def _close_channel(self, channel: Any) -> None:
+        channel.close()
 
     @contextlib.contextmanager
     def lease(self) -> Iterator[Lease]:
@@ -157,6 +156,9 @@ class Channels:
         with self._lock:
             if self._closed:
                 raise Cancelled("the client is closed")
+            if self._newest is None:
+                self._newest = Lease(self._open(self._made_of))
+                self._leases.append(self._newest)
             lease = self._newest
             lease.users += 1
         try:
@@ -176,12 +178,12 @@ class Channels:
         with self._lock:
             if lease is self._newest and not self._closed:
                 lease.is_retired = True
-                self._newest = self._make()
+                self._newest = None
 
     def _close_if_done(self, lease: Lease) -> None:
         if lease.is_retired and lease.users == 0 and lease in self._leases:
             self._leases.remove(lease)
-            lease.channel.close()
+            self._close_channel(lease.channel)
 
     def close(self) -> None:
         """Ends all calls."""
@@ -189,7 +191,7 @@ class Channels:
             self._closed = True
             leases, self._leases = self._leases, []
         for lease in leases:
-            lease.channel.close()
+            self._close_channel(lease.channel)
 
 
 class Caller:

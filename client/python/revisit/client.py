@@ -2,85 +2,33 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
 import weakref
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from types import TracebackType
-from typing import Any, Optional, TypeVar, Union
+from typing import TYPE_CHECKING, Any, Optional, TypeVar, Union
 
 import grpc
-from google.protobuf import field_mask_pb2
+from numpy.typing import ArrayLike
 
-from revisit import v1
-from revisit.arrays import Poses
-from revisit.backoff import Backoff, BackoffOptions
-from revisit.channel import (
-    Caller, ChannelOptions, Channels, PathLike, owner_route, stub_of)
-from revisit.errors import (
-    Error, Internal, ResourceExhausted, Unavailable, from_rpc_error, is_cut,
-    was_elsewhere)
-from revisit.pose_stream import PoseStream, PosesLike
-from revisit.stream_options import StreamCallbacks, StreamOptions
-from revisit.tables import Table, edge_table, node_table
+from revisit import _calls, maps, v1
+from revisit._calls import Call, Pages, vehicle_name
+from revisit._retries import CallOptions
+from revisit._stream_state import StreamState, log_warnings
+from revisit.arrays import Poses, PosesLike
+from revisit.backoff import BackoffOptions
+from revisit.channel import Caller, ChannelOptions, Channels, PathLike, stub_of
+from revisit.errors import from_rpc_error
+from revisit.pose_stream import PoseStream
+from revisit.stream_options import ProgressBar, StreamCallbacks, StreamOptions
+from revisit.tables import PoseGraph
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+    from revisit.v1.keywords import CandidateKeywords, SettingsKeywords
 
 _T = TypeVar("_T")
-_Pair = TypeVar("_Pair", v1.LoopClosure, v1.RejectedCandidate)
-
-#: Calls of which two are not the same as one: between two attempts another caller
-#: may have changed the same thing.
-_NEVER_REPEATED = frozenset({
-    "UpdateVehicle", "DeleteVehicle", "DeleteLoopClosure", "DeleteRejectedCandidate",
-    "AcceptDataLoss"})
-
-#: Poses in a message of RevisePoses.
-_REVISED_POSES = 1000
-#: Poses and pairs on a page of a list.
-_POSES_PAGE = 10_000
-_PAGE = 1000
-#: Empty pages that may follow each other. The service sends none before the last.
-_MOST_EMPTY_PAGES = 100
-
-
-@dataclasses.dataclass(frozen=True)
-class PoseGraph:
-    """A vehicle's graph at one revision."""
-
-    vehicle: v1.Vehicle
-    #: As `node_table()` makes it.
-    nodes: Table
-    #: As `edge_table()` makes it.
-    edges: Table
-
-
-def vehicle_name(vehicle: str) -> str:
-    """The resource name: "vehicles/shuttle-7", also of the id "shuttle-7"."""
-    return vehicle if "/" in vehicle else f"vehicles/{vehicle}"
-
-
-def _messages(poses: PosesLike) -> Iterable[v1.Pose]:
-    return poses.to_messages() if isinstance(poses, Poses) else poses
-
-
-def _finding(pair: Union[v1.Candidate, _Pair], kind: type[_Pair],
-             note: str) -> _Pair:
-    """The message that reports a finding about a candidate, unless the caller has
-    made it."""
-    if isinstance(pair, v1.Candidate):
-        return kind(query_sequence=pair.query.sequence,
-                    matched_sequence=pair.matched.sequence, note=note)
-    if note:
-        raise ValueError(f"note: got {note!r} beside a {kind.__name__}, which has "
-                         "a note of its own")
-    return pair
-
-
-def _may_repeat(error: Error, is_safe: bool) -> bool:
-    if isinstance(error, ResourceExhausted):
-        # The server says that it did nothing, and when to send the same again.
-        return error.retry_delay is not None
-    return was_elsewhere(error) or (
-        is_safe and (isinstance(error, Unavailable) or is_cut(error)))
 
 
 class Client:
@@ -116,16 +64,10 @@ class Client:
         in seconds for a call with all its attempts and waits, `bulk_deadline` that
         of exports and revisions; `max_attempts` counts the first attempt. Connects
         on first use."""
-        if max_attempts < 1:
-            raise ValueError(f"max_attempts is {max_attempts}: it is at least 1")
-        options = ChannelOptions(address, tls_authorities, tls_certificate, tls_key,
-                                 token_file)
+        self._options = CallOptions(deadline, bulk_deadline, max_attempts, backoff)
         self._caller = Caller(token_file)
-        self._channels = Channels(options)
-        self._deadline = deadline
-        self._bulk_deadline = bulk_deadline
-        self._max_attempts = max_attempts
-        self._backoff = backoff
+        self._channels = Channels(ChannelOptions(
+            address, tls_authorities, tls_certificate, tls_key, token_file))
         self._streams: weakref.WeakSet[PoseStream] = weakref.WeakSet()
 
     def close(self) -> None:
@@ -151,240 +93,207 @@ class Client:
         deadline and the retries that all have: `call("GetVehicle",
         v1.GetVehicleRequest(name="vehicles/a"))` returns a
         v1.GetVehicleResponse."""
-        return self._repeat(
-            lambda stub, call: getattr(stub, method)(request, **call),
-            method not in _NEVER_REPEATED,
-            self._deadline if deadline is None else deadline, request_id)
+        return self._run(_calls.unary(method, request), deadline, request_id)
 
-    def _repeat(self, attempt: Callable[[Any, dict[str, Any]], _T], is_safe: bool,
-                seconds: float, request_id: Optional[str] = None) -> _T:
-        """Runs `attempt(stub, what every call is given)` until it succeeds or must
-        not be repeated."""
-        deadline = time.monotonic() + seconds
-        backoff = Backoff(self._backoff)
-        count = 1
-        error: Optional[Error] = None
+    def _run(self, call: Call[_T], deadline: Optional[float] = None,
+             request_id: Optional[str] = None) -> _T:
+        """Makes a call until it succeeds or must not be repeated."""
+        attempts = self._options.attempts(self._caller, call, deadline, request_id)
         while True:
-            request_id, metadata = self._caller.metadata(request_id)
-            metadata += owner_route(error)
-            left = max(deadline - time.monotonic(), 0.0)
+            arguments = attempts.begin()
             with self._channels.lease() as lease:
                 try:
-                    return attempt(stub_of(lease.channel),
-                                   {"timeout": left, "metadata": metadata})
+                    answer = call.start(stub_of(lease.channel), arguments)
+                    return call.unpack(list(answer) if call.answers_stream else answer)
                 except grpc.RpcError as raised:
-                    error = from_rpc_error(raised, request_id)
+                    error = from_rpc_error(raised, attempts.request_id or "")
                 self._channels.report(lease, error)
-            if was_elsewhere(error):
-                # Until the deadline: after a server has died, others say so until its
-                # lease has run out.
-                count -= 1
-                backoff.reset()
-            if count >= self._max_attempts or not _may_repeat(error, is_safe):
-                raise error
-            wait = backoff.next(error.retry_delay)
-            if time.monotonic() + wait >= deadline:
-                raise error
-            time.sleep(wait)
-            count += 1
+            time.sleep(attempts.wait_after(error))
 
-    def _pages(self, method: str, request: Any, field: str, order: str = "name"
-               ) -> Iterator[Any]:
-        """What is on all pages of a list, which is ordered by that field. Internal if
-        it does not go on in that order, as when the server sends a page again, or
-        consists of empty pages: it might never end."""
-        last = None
-        empty_pages = 0
+    def _pages(self, pages: Pages[_T]) -> Iterator[_T]:
+        """The items of all pages of a list."""
         while True:
-            page = self.call(method, request)
-            items = getattr(page, field)
-            for item in items:
-                key = getattr(item, order)
-                if last is not None and key <= last:
-                    raise Internal(f"the server's list does not go on: {key} comes "
-                                   f"after {last}")
-                last = key
-                yield item
-            if not page.next_page_token:
+            page = self._run(pages.call())
+            yield from pages.items(page)
+            if not pages.turn(page):
                 return
-            empty_pages = 0 if items else empty_pages + 1
-            if empty_pages > _MOST_EMPTY_PAGES:
-                raise Internal(f"the server's list does not go on: {empty_pages} empty "
-                               "pages follow each other, and each names another")
-            request.page_token = page.next_page_token
 
     # Vehicles.
 
     def create_vehicle(self, vehicle_id: str,
-                       settings: Optional[v1.VehicleSettings] = None) -> v1.Vehicle:
+                       settings: Optional[v1.VehicleSettings] = None, *,
+                       display_name: str = "",
+                       labels: Optional[Mapping[str, str]] = None,
+                       **keywords: Unpack[SettingsKeywords]) -> v1.Vehicle:
         """Creates a vehicle, or returns the one of this name with these settings.
-        AlreadyExists if there is one with others."""
-        request = v1.CreateVehicleRequest(
-            vehicle_id=vehicle_id.removeprefix("vehicles/"),
-            vehicle=v1.Vehicle(settings=settings))
-        made: v1.CreateVehicleResponse = self.call("CreateVehicle", request)
-        return made.vehicle
+        AlreadyExists if there is one with others.
+
+            client.create_vehicle("shuttle-7", correlation_model="independent",
+                                  labels={"depot": "north"})
+
+        `keywords` are the fields of v1.VehicleSettings and count before `settings`;
+        words of the command line stand for the values of enums. TypeError for a name
+        that is no setting."""
+        return self._run(_calls.create_vehicle(vehicle_id, settings, display_name,
+                                               labels, keywords))
 
     def get_vehicle(self, vehicle: str) -> v1.Vehicle:
         """The vehicle with its settings and the summary of its graph."""
-        found: v1.GetVehicleResponse = self.call(
-            "GetVehicle", v1.GetVehicleRequest(name=vehicle_name(vehicle)))
-        return found.vehicle
+        return self._run(_calls.get_vehicle(vehicle))
 
     def list_vehicles(self) -> Iterator[v1.Vehicle]:
         """All vehicles that the caller may read, by name, page by page."""
-        return self._pages("ListVehicles", v1.ListVehiclesRequest(page_size=_PAGE),
-                           "vehicles")
+        return self._pages(_calls.list_vehicles())
 
-    def update_vehicle(self, vehicle: str, settings: v1.VehicleSettings,
-                       names: Iterable[str]) -> v1.Vehicle:
-        """Changes the settings of these names, such as "max_candidates"; one that is
-        absent from `settings` goes back to its default."""
-        request = v1.UpdateVehicleRequest(
-            vehicle=v1.Vehicle(name=vehicle_name(vehicle), settings=settings),
-            update_mask=field_mask_pb2.FieldMask(
-                paths=[f"settings.{name}" for name in names]))
-        changed: v1.UpdateVehicleResponse = self.call("UpdateVehicle", request)
-        return changed.vehicle
+    def update_vehicle(self, vehicle: str,
+                       settings: Optional[v1.VehicleSettings] = None,
+                       names: Iterable[str] = (), *,
+                       display_name: Optional[str] = None,
+                       labels: Optional[Mapping[str, Optional[str]]] = None,
+                       **keywords: Unpack[SettingsKeywords]) -> v1.Vehicle:
+        """Changes the settings that are keywords, and those of `settings` that
+        `names` has, such as "max_candidates"; one that is None, or absent from
+        `settings`, goes back to its default. Changes the labels that are named, or
+        removes them with None, and leaves the others."""
+        return self._run(_calls.update_vehicle(vehicle, settings, names, display_name,
+                                               labels, keywords))
 
     def delete_vehicle(self, vehicle: str) -> None:
         """Deletes a vehicle with all it has. It cannot be undone."""
-        self.call("DeleteVehicle", v1.DeleteVehicleRequest(name=vehicle_name(vehicle)))
+        self._run(_calls.delete_vehicle(vehicle))
 
     def accept_data_loss(self, vehicle: str, durable_sequence: int) -> v1.Vehicle:
         """For operators: accepts that poses after this sequence are gone."""
-        accepted: v1.AcceptDataLossResponse = self.call(
-            "AcceptDataLoss", v1.AcceptDataLossRequest(
-                name=vehicle_name(vehicle), durable_sequence=durable_sequence))
-        return accepted.vehicle
+        return self._run(_calls.accept_data_loss(vehicle, durable_sequence))
 
     # Poses.
 
     def stream_poses(self, vehicle: str, options: StreamOptions = StreamOptions(),
                      callbacks: StreamCallbacks = StreamCallbacks()) -> PoseStream:
         """Starts a stream of poses that survives the connection."""
-        stream = PoseStream(self._channels, self._caller, vehicle_name(vehicle),
-                            options, callbacks)
+        stream = PoseStream(self._channels, self._caller, StreamState(
+            vehicle_name(vehicle), options, callbacks))
         self._streams.add(stream)
         return stream
 
     def append_poses(self, vehicle: str, poses: PosesLike, *,
                      vehicle_uid: str = "") -> v1.Ack:
         """Appends one batch with sequences, of at most as many poses as
-        `server_info().max_batch_poses`. Returns when it is durable."""
-        appended: v1.AppendPosesResponse = self.call(
-            "AppendPoses", v1.AppendPosesRequest(
-                vehicle=vehicle_name(vehicle), poses=_messages(poses),
-                vehicle_uid=vehicle_uid))
-        return appended.ack
+        `server_info().max_batch_poses`. Returns when it is durable; the warnings of
+        the acknowledgement are logged too."""
+        ack = self._run(_calls.append_poses(vehicle, poses, vehicle_uid))
+        log_warnings(vehicle_name(vehicle), ack, set())
+        return ack
 
     def list_poses(self, vehicle: str, first_sequence: int = 1, *,
                    as_sent: bool = False) -> Iterator[v1.Pose]:
         """Stored poses by sequence, as they were last revised or as they were
         sent."""
-        request = v1.ListPosesRequest(
-            parent=vehicle_name(vehicle), page_size=_POSES_PAGE,
-            first_sequence=first_sequence,
-            view=(v1.POSE_VIEW_AS_SENT if as_sent else v1.POSE_VIEW_CURRENT))
-        return self._pages("ListPoses", request, "poses", order="sequence")
+        return self._pages(_calls.list_poses(vehicle, first_sequence, as_sent))
 
     def poses(self, vehicle: str, first_sequence: int = 1, *,
-              as_sent: bool = False) -> Poses:
-        """Stored poses as arrays, as they were last revised or as they were sent."""
+              as_sent: bool = False,
+              progress: Optional[ProgressBar] = None) -> Poses:
+        """Stored poses as arrays, as they were last revised or as they were sent.
+        `progress` is told of each that was read."""
         return Poses.from_messages(
-            self.list_poses(vehicle, first_sequence, as_sent=as_sent))
+            _calls.counted(pose, progress)
+            for pose in self.list_poses(vehicle, first_sequence, as_sent=as_sent))
 
     def revise_poses(self, vehicle: str, poses: PosesLike,
                      expected_revision: int = 0) -> v1.RevisePosesResponse:
         """Replaces the estimates of poses in one step, after an optimiser ran. With
         the revision that the optimiser started from, Aborted if the vehicle has
         another one by now."""
-        revised = list(_messages(poses))
-
-        def requests() -> Iterator[v1.RevisePosesRequest]:
-            for start in range(0, max(len(revised), 1), _REVISED_POSES):
-                yield v1.RevisePosesRequest(
-                    vehicle=vehicle_name(vehicle),
-                    expected_revision=expected_revision if start == 0 else 0,
-                    poses=revised[start:start + _REVISED_POSES])
-
-        response: v1.RevisePosesResponse = self._repeat(
-            lambda stub, call: stub.RevisePoses(requests(), **call),
-            expected_revision != 0, self._bulk_deadline)
-        return response
+        return self._run(_calls.revise_poses(vehicle, poses, expected_revision))
 
     def export_pose_graph(self, vehicle: str) -> PoseGraph:
         """The whole graph at one revision."""
-        request = v1.ExportPoseGraphRequest(vehicle=vehicle_name(vehicle))
-        parts: list[v1.ExportPoseGraphResponse] = self._repeat(
-            lambda stub, call: list(stub.ExportPoseGraph(request, **call)), True,
-            self._bulk_deadline)
-        return PoseGraph(
-            parts[0].vehicle if parts else v1.Vehicle(),
-            node_table(node for part in parts for node in part.nodes),
-            edge_table(edge for part in parts for edge in part.edges))
+        return self._run(_calls.export_pose_graph(vehicle))
+
+    # Files and maps, by the program revisit.
+
+    def export(self, vehicle: str, path: PathLike, *, format: str = "") -> None:
+        """Writes a vehicle's poses or graph to a file, by `revisit export`: g2o, tum,
+        kitti, csv, geojson or jsonl, by the ending of its name unless `format` says
+        which (also nodes-csv, edges-csv). Numbers read back to the same bits. A file
+        of this name is replaced once the export is complete."""
+        maps.export(self._channels.options, vehicle, path, format)
+
+    def map(self, vehicle: str, *, format: str = "html", **flags: Any) -> maps.Map:
+        """Draws a vehicle's trajectory with its candidates, by `revisit map`, for a
+        notebook or a file: as a page that moves and zooms ("html"), a drawing ("svg")
+        or "geojson". `flags` are the program's, such as `direction="either"` and
+        `check_interval=200`. It asks for candidates along the whole path, which may
+        take minutes."""
+        return maps.draw(self._channels.options, vehicle, format, flags)
 
     # Candidates, and what a verifier found of them.
 
     def find_candidates(self, vehicle: str, sequence: int = 0,
-                        options: Optional[v1.CandidateOptions] = None
-                        ) -> v1.CandidateSet:
+                        options: Optional[v1.CandidateOptions] = None,
+                        **keywords: Unpack[CandidateKeywords]) -> v1.CandidateSet:
         """Where the vehicle has probably been before, asked at a pose; 0 means the
-        newest."""
-        found: v1.FindCandidatesResponse = self.call(
-            "FindCandidates", v1.FindCandidatesRequest(
-                vehicle=vehicle_name(vehicle), sequence=sequence, options=options))
-        return found.candidates
+        newest. `keywords` are the fields of v1.CandidateOptions, such as
+        `direction="either"`, and count before `options`."""
+        return self._run(_calls.find_candidates(vehicle, sequence, options, keywords))
 
     def add_loop_closure(self, vehicle: str,
-                         pair: Union[v1.Candidate, v1.LoopClosure], *,
-                         loop_closure_id: str = "", note: str = ""
-                         ) -> v1.AddLoopClosureResponse:
+                         query: Union[int, v1.Candidate, v1.LoopClosure],
+                         matched: Optional[int] = None, *,
+                         relative: Optional[ArrayLike] = None,
+                         covariance: Optional[ArrayLike] = None,
+                         score: Optional[float] = None, note: str = "",
+                         loop_closure_id: str = "") -> v1.AddLoopClosureResponse:
         """Reports that a verifier found two poses to be one place: those of a
-        candidate, with a note for people, or a loop closure with all that was found
-        out. ValueError for a note beside a loop closure, which has its own."""
-        added: v1.AddLoopClosureResponse = self.call(
-            "AddLoopClosure", v1.AddLoopClosureRequest(
-                parent=vehicle_name(vehicle), loop_closure_id=loop_closure_id,
-                loop_closure=_finding(pair, v1.LoopClosure, note)))
-        return added
+        candidate, or those of two sequences, the later one first.
+
+            client.add_loop_closure("shuttle-7", 2068, 1072,
+                                    relative=(1.2, -0.3, 0.02),
+                                    covariance=np.diag([0.01, 0.01, 1e-4]))
+
+        `relative` is the pose of the query as seen from the match: x forward, y left,
+        heading, or x, y, z, heading; or a matrix that maps the query's body into the
+        match's, (3, 3) or (4, 4), as registrations answer. `covariance` is that of
+        its errors, as `to_covariances()` takes it for one pose. Without them nothing
+        more is assumed than one place, some 10 m wide. The answer's `agreement` says
+        how well they fit the graph.
+
+        A v1.LoopClosure is taken as it is; ValueError for a note beside it, since it
+        has its own."""
+        return self._run(_calls.add_loop_closure(
+            vehicle, query, matched, relative, covariance, score, note,
+            loop_closure_id))
 
     def list_loop_closures(self, vehicle: str) -> Iterator[v1.LoopClosure]:
         """A vehicle's loop closures, by name."""
-        return self._pages("ListLoopClosures", v1.ListLoopClosuresRequest(
-            parent=vehicle_name(vehicle), page_size=_PAGE), "loop_closures")
+        return self._pages(_calls.list_loop_closures(vehicle))
 
     def delete_loop_closure(self, name: str) -> None:
         """Removes a loop closure, by its resource name, and its edge."""
-        self.call("DeleteLoopClosure", v1.DeleteLoopClosureRequest(name=name))
+        self._run(_calls.delete_loop_closure(name))
 
     def reject_candidate(self, vehicle: str,
-                         pair: Union[v1.Candidate, v1.RejectedCandidate], *,
-                         rejected_candidate_id: str = "", note: str = ""
+                         query: Union[int, v1.Candidate, v1.RejectedCandidate],
+                         matched: Optional[int] = None, *, note: str = "",
+                         rejected_candidate_id: str = ""
                          ) -> v1.RejectCandidateResponse:
-        """Reports that a verifier found a candidate not to be a revisit: it is not
-        offered again. The note is for people, as for `add_loop_closure()`."""
-        rejected: v1.RejectCandidateResponse = self.call(
-            "RejectCandidate", v1.RejectCandidateRequest(
-                parent=vehicle_name(vehicle),
-                rejected_candidate_id=rejected_candidate_id,
-                rejected_candidate=_finding(pair, v1.RejectedCandidate, note)))
-        return rejected
+        """Reports that a verifier found a candidate, or the poses of two sequences,
+        not to be a revisit: it is not offered again. The note is for people, as for
+        `add_loop_closure()`."""
+        return self._run(_calls.reject_candidate(vehicle, query, matched, note,
+                                                 rejected_candidate_id))
 
     def list_rejected_candidates(self, vehicle: str
                                  ) -> Iterator[v1.RejectedCandidate]:
         """A vehicle's rejected candidates, by name."""
-        return self._pages("ListRejectedCandidates", v1.ListRejectedCandidatesRequest(
-            parent=vehicle_name(vehicle), page_size=_PAGE), "rejected_candidates")
+        return self._pages(_calls.list_rejected_candidates(vehicle))
 
     def delete_rejected_candidate(self, name: str) -> None:
         """Removes a rejection, by its resource name: the candidate may be offered
         again."""
-        self.call("DeleteRejectedCandidate",
-                  v1.DeleteRejectedCandidateRequest(name=name))
+        self._run(_calls.delete_rejected_candidate(name))
 
     def server_info(self) -> v1.GetServerInfoResponse:
         """Version, limits, and what an acknowledgement is worth."""
-        info: v1.GetServerInfoResponse = self.call("GetServerInfo",
-                                                   v1.GetServerInfoRequest())
-        return info
+        return self._run(_calls.server_info())

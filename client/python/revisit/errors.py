@@ -202,6 +202,11 @@ _CLASSES_BY_REASON: dict[str, type[Error]] = {
     "VEHICLE_REPLACED": VehicleReplaced}
 
 
+def error_class(code: grpc.StatusCode, reason: str) -> type[Error]:
+    """The class that stands for a code and a reason."""
+    return _CLASSES_BY_REASON.get(reason, _CLASSES.get(code, Error))
+
+
 def _details(trailers: Any) -> status_pb2.Status:
     for key, value in trailers or ():
         if key == _DETAILS_KEY:
@@ -235,8 +240,7 @@ def from_rpc_error(error: Any, request_id: str = "") -> Error:
             asked = retry.retry_delay.seconds + retry.retry_delay.nanos * 1e-9
             found["retry_delay"] = min(max(asked, 0.0), LONGEST_RETRY_DELAY)
     code = error.code()
-    made = _CLASSES_BY_REASON.get(found.get("reason", ""),
-                                  _CLASSES.get(code, Error))
+    made = error_class(code, found.get("reason", ""))
     return made(error.details() or "", code=code, **found)
 
 

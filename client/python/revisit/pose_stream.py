@@ -32,25 +32,14 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterable, Iterator
 from types import TracebackType
-from typing import Callable, Optional, Union
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Callable, Optional
 
 from revisit import v1
 from revisit._engine import Engine
-from revisit.arrays import Poses
+from revisit._stream_state import Sized, StreamState
+from revisit.arrays import Poses, PosesLike
 from revisit.channel import Caller, Channels
-from revisit.errors import Cancelled, FailedPrecondition, InvalidArgument
-from revisit.stream_options import StreamCallbacks, StreamOptions
-
-#: Rows of arrays that become messages at a time.
-_CHUNK_ROWS = 1000
-#: No pose of arrays is larger when serialised.
-_LARGEST_ROW_BYTES = 1024
-
-PosesLike = Union[Poses, Iterable[v1.Pose]]
-_Sized = list[tuple[v1.Pose, int]]
+from revisit.errors import Cancelled
 
 
 class PoseStream:
@@ -58,15 +47,11 @@ class PoseStream:
     so appending is for one thread at a time. A context manager: leaving it
     finishes the stream, or cancels it if an exception leaves it."""
 
-    def __init__(self, channels: Channels, caller: Caller, vehicle: str,
-                 options: StreamOptions, callbacks: StreamCallbacks) -> None:
-        self._options = options
-        self._takes_candidates = (options.send_candidates
-                                  and callbacks.candidates is None)
-        self._engine = Engine(channels, caller, vehicle, options, callbacks)
+    def __init__(self, channels: Channels, caller: Caller, state: StreamState) -> None:
+        self._state = state
+        self._engine = Engine(channels, caller, state)
         self._changed = self._engine.changed
-        # Guarded by the lock of _changed.
-        self._last_taken = 0
+        # Guarded by the lock of _changed, as is the state.
         self._taker: Optional[int] = None
         self._engine.start()
 
@@ -77,15 +62,15 @@ class PoseStream:
         that moment: go on behind it. Poses up to it may be appended again; the
         server then compares them with what it has. TimeoutError after so many
         seconds; the error of the stream if it has ended."""
-        engine = self._engine
+        state = self._state
         with self._changed:
             self._changed.wait_for(
-                lambda: engine.first_durable is not None or engine.ended, timeout)
-            if engine.first_durable is not None:
-                return engine.first_durable
-            if not engine.ended:
+                lambda: state.first_durable is not None or state.ended, timeout)
+            if state.first_durable is not None:
+                return state.first_durable
+            if not state.ended:
                 raise TimeoutError(f"no stream was opened within {timeout} s")
-            raise self._why_ended()
+            raise state.why_ended()
 
     def append(self, poses: PosesLike) -> None:
         """Takes poses whose sequences follow each other and the last one taken,
@@ -99,13 +84,13 @@ class PoseStream:
         is larger than max_pending_bytes; FailedPrecondition after `finish()`, or
         if there is no more room for candidates and nobody but the calling thread
         takes any; the error of the stream if it has ended."""
+        state = self._state
         for chunk in self._checked(poses):
             with self._changed:
                 for pose, size in chunk:
-                    if not self._engine.pending.has_room(1, size):
+                    if not state.pending.has_room(1, size):
                         self._wait_for_room(size)
-                    self._check_open()
-                    self._take(pose, size)
+                    state.take(pose, size)
                 self._changed.notify_all()
 
     def try_append(self, poses: PosesLike) -> bool:
@@ -113,12 +98,12 @@ class PoseStream:
         none and returns False."""
         sized = [one for chunk in self._checked(poses) for one in chunk]
         with self._changed:
-            self._check_open()
-            if not self._engine.pending.has_room(len(sized),
-                                                 sum(size for _, size in sized)):
+            self._state.check_open()
+            if not self._state.pending.has_room(len(sized),
+                                                sum(size for _, size in sized)):
                 return False
             for pose, size in sized:
-                self._take(pose, size)
+                self._state.take(pose, size)
             self._changed.notify_all()
             return True
 
@@ -127,16 +112,16 @@ class PoseStream:
         answered all checks. Raises why the stream ended, if not well. May be
         called again."""
         with self._changed:
-            self._engine.finishing = True
+            self._state.finishing = True
             self._changed.notify_all()
-            self._wait_while(lambda: not self._engine.ended)
-            if self._engine.error is not None:
-                raise self._why_ended()
+            self._wait_while(lambda: not self._state.ended)
+            if self._state.error is not None:
+                raise self._state.why_ended()
 
     def cancel(self) -> None:
         """Ends the stream with Cancelled unless it has ended. Does not wait."""
         with self._changed:
-            self._engine.cancelled = True
+            self._state.cancelled = True
             self._changed.notify_all()
 
     def close(self) -> None:
@@ -157,87 +142,30 @@ class PoseStream:
         finally:
             self.close()
 
-    def _check_open(self) -> None:
-        if self._engine.ended and self._engine.error is not None:
-            raise self._why_ended()
-        if self._engine.ended or self._engine.finishing:
-            raise FailedPrecondition("the stream is finished")
-
-    def _why_ended(self) -> BaseException:
-        assert self._engine.error is not None
-        # Else each raise would add to one traceback.
-        return self._engine.error.with_traceback(None)
-
-    def _checked(self, poses: PosesLike) -> Iterator[_Sized]:
-        """The poses with their sizes, some at a time, after all were checked."""
-        if isinstance(poses, Poses):
-            if len(poses) > 0 and not poses.sequence.any():
-                poses = poses.numbered(self._next_sequence())
-            self._check_order(poses.sequence)
-            if self._options.max_pending_bytes >= _LARGEST_ROW_BYTES:
-                for row in range(0, len(poses), _CHUNK_ROWS):
-                    yield [(pose, pose.ByteSize()) for pose in
-                           poses[row:row + _CHUNK_ROWS].to_messages()]
-                return
-            sized = [(pose, pose.ByteSize()) for pose in poses.to_messages()]
-        else:
-            sized = []
-            for pose in poses:
-                # The caller may go on using its own.
-                copy = v1.Pose()
-                copy.CopyFrom(pose)
-                sized.append((copy, copy.ByteSize()))
-            self._check_order(np.array([pose.sequence for pose, _ in sized],
-                                       np.uint64))
-        limit = self._options.max_pending_bytes
-        for pose, size in sized:
-            if size > limit:
-                raise InvalidArgument(
-                    f"the pose of sequence {pose.sequence} takes {size} bytes, more "
-                    f"than max_pending_bytes allows ({limit})")
-        yield sized
+    def _checked(self, poses: PosesLike) -> Iterator[Sized]:
+        if isinstance(poses, Poses) and len(poses) > 0 and not poses.sequence.any():
+            poses = poses.numbered(self._next_sequence())
+        # Only the thread that appends changes what the checks read.
+        return self._state.chunks(poses)
 
     def _next_sequence(self) -> int:
         with self._changed:
-            if self._last_taken > 0:
-                return self._last_taken + 1
+            if self._state.last_taken > 0:
+                return self._state.last_taken + 1
         return self.wait_until_opened() + 1
 
-    def _check_order(self, sequences: NDArray[np.uint64]) -> None:
-        if len(sequences) == 0:
-            return
-        with self._changed:
-            self._check_open()
-            first = self._last_taken + 1 if self._last_taken > 0 else max(
-                int(sequences[0]), 1)
-        expected = np.arange(first, first + len(sequences), dtype=np.uint64)
-        wrong = np.flatnonzero(sequences != expected)
-        if wrong.size:
-            raise InvalidArgument(f"sequence {sequences[wrong[0]]} where "
-                                  f"{expected[wrong[0]]} comes next")
-
-    def _take(self, pose: v1.Pose, size: int) -> None:
-        self._last_taken = pose.sequence
-        self._engine.pending.take(pose, size)
-
     def _wait_for_room(self, size: int) -> None:
-        engine = self._engine
+        state = self._state
         self._changed.notify_all()
-        self._wait_while(lambda: not (engine.pending.has_room(1, size) or engine.ended
-                                      or engine.finishing))
+        self._wait_while(lambda: not (state.pending.has_room(1, size) or state.ended
+                                      or state.finishing))
 
     def _wait_while(self, condition: Callable[[], bool]) -> None:
         """Waits, unless that would be for ever."""
-        engine = self._engine
         while condition():
-            if engine.waits_for_taker and self._taker in (None,
-                                                          threading.get_ident()):
-                raise FailedPrecondition(
-                    f"{len(engine.waiting)} answers of checks wait, and nobody but "
-                    f"this thread takes any; poses up to sequence {self._last_taken} "
-                    "were taken. Call take_candidates() between smaller appends, "
-                    "iterate candidates() in another thread, let run() append, or "
-                    "give the stream a callback")
+            if self._state.waits_for_taker and self._taker in (
+                    None, threading.get_ident()):
+                raise self._state.needs_taker("thread")
             self._changed.wait()
 
     # Answers out.
@@ -246,16 +174,16 @@ class PoseStream:
         """The answers of checks as they come, until the stream has ended; raises
         why, if not well. For a thread of its own beside the one that appends;
         `run()` needs none."""
-        engine = self._engine
+        state = self._state
         while True:
             with self._changed:
                 self._take_candidates_here()
-                self._changed.wait_for(lambda: bool(engine.waiting) or engine.ended)
-                if not engine.waiting:
-                    if engine.error is not None:
-                        raise self._why_ended()
+                self._changed.wait_for(lambda: bool(state.waiting) or state.ended)
+                if not state.waiting:
+                    if state.error is not None:
+                        raise state.why_ended()
                     return
-                answer = engine.waiting.popleft()
+                answer = state.waiting.popleft()
                 self._changed.notify_all()
             yield answer
 
@@ -264,16 +192,13 @@ class PoseStream:
         wait."""
         with self._changed:
             self._take_candidates_here()
-            taken = list(self._engine.waiting)
-            self._engine.waiting.clear()
+            taken = list(self._state.waiting)
+            self._state.waiting.clear()
             self._changed.notify_all()
             return taken
 
     def _take_candidates_here(self) -> None:
-        if not self._takes_candidates:
-            raise FailedPrecondition(
-                "the stream keeps no candidates: StreamOptions.send_candidates asks "
-                "for them, and StreamCallbacks.candidates takes them")
+        self._state.check_keeps_candidates()
         self._taker = threading.get_ident()
 
     def run(self, batches: Iterable[PosesLike]) -> Iterator[v1.CandidateSet]:
@@ -311,7 +236,14 @@ class PoseStream:
         """Jumps that acknowledgements reported, where the trajectory is cut: the
         newest 10,000."""
         with self._changed:
-            return list(self._engine.jumps)
+            return list(self._state.jumps)
+
+    @property
+    def warnings(self) -> list[v1.Warning]:
+        """Signs of wrong axes, units or settings that acknowledgements reported: the
+        newest 10,000. Each kind is logged when it first comes, with what to do."""
+        with self._changed:
+            return list(self._state.warnings)
 
     @property
     def acked_sequence(self) -> int:
@@ -319,29 +251,29 @@ class PoseStream:
         restarts, with the uid, and hands both in by StreamOptions, learns of data
         loss."""
         with self._changed:
-            return self._engine.acked_sequence
+            return self._state.acked_sequence
 
     @property
     def vehicle_uid(self) -> str:
         """Which vehicle it is (v1.Vehicle.uid). Empty until it is known: by the
         options or the first connection."""
         with self._changed:
-            return self._engine.vehicle_uid
+            return self._state.vehicle_uid
 
     @property
     def reconnects(self) -> int:
         """Connections after the first one."""
         with self._changed:
-            return self._engine.reconnects
+            return self._state.reconnects
 
     @property
     def pending_poses(self) -> int:
         """Unacknowledged poses that are held now."""
         with self._changed:
-            return len(self._engine.pending)
+            return len(self._state.pending)
 
     @property
     def pending_bytes(self) -> int:
         """Serialised bytes of the poses that are held now."""
         with self._changed:
-            return self._engine.pending.bytes
+            return self._state.pending.bytes

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Callable, Optional
+from typing import Callable, Optional, Protocol
 
 from revisit import v1
 from revisit.backoff import BackoffOptions
 from revisit.errors import Error
+
+
+class ProgressBar(Protocol):
+    """Something that shows progress, such as `tqdm.tqdm(total=len(poses))`."""
+
+    def update(self, n: int, /) -> object:
+        """So many more are done."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,12 +68,14 @@ class StreamOptions:
 
 @dataclasses.dataclass(frozen=True)
 class StreamCallbacks:
-    """Called one at a time, in the order of the server's messages, on a thread of
-    this package, without locks held.
+    """Called one at a time, in the order of the server's messages: on a thread of
+    this package, without locks held, or by a stream of `revisit.aio` in its event
+    loop, which awaits what a callback returns if that can be awaited.
 
     While one runs no further answers are read, so a slow one slows the server
     down. They may use the properties of the stream and `cancel()`, nothing that
-    waits. An exception from one ends the stream and is raised by its methods."""
+    waits for the stream. An exception from one ends the stream and is raised by its
+    methods."""
 
     ack: Optional[Callable[[v1.Ack], object]] = None
     #: Takes the answers of checks, which then are not kept for
@@ -78,3 +87,5 @@ class StreamCallbacks:
     #: The stream goes on behind this durable sequence. Not called for the first
     #: connection.
     resumed: Optional[Callable[[int], object]] = None
+    #: Hears how many more of the poses that the stream took became durable.
+    progress: Optional[ProgressBar] = None

@@ -2,31 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+import dataclasses
+from collections.abc import Iterable, Iterator, KeysView, Mapping
 from typing import TYPE_CHECKING, Any, Callable, Optional
 
 import numpy as np
 from numpy.typing import NDArray
 
 from revisit import v1
+from revisit._display import html_table, spread
 
 if TYPE_CHECKING:
     import pandas
 
 Array = NDArray[Any]
 
-_AXES = {6: ("x", "y", "h"), 10: ("x", "y", "z", "h")}
 _NO_STAMP = np.datetime64("NaT", "ns")
 
 
-class Table(Mapping[str, Array]):
-    """Columns of equal length by name. A column may have rows of several numbers,
-    such as covariances."""
+class Table:
+    """Columns of equal length by name, as in a DataFrame: `table["x"]` is a column,
+    iterating goes over the names, and `len(table)` is the number of rows. A column may
+    have rows of several numbers, such as covariances."""
 
     def __init__(self, columns: Mapping[str, Array]) -> None:
         self._columns = dict(columns)
-        #: Number of rows.
-        self.rows = len(next(iter(self._columns.values())))
 
     def __getitem__(self, name: str) -> Array:
         return self._columns[name]
@@ -34,43 +34,41 @@ class Table(Mapping[str, Array]):
     def __iter__(self) -> Iterator[str]:
         return iter(self._columns)
 
+    def __contains__(self, name: object) -> bool:
+        return name in self._columns
+
     def __len__(self) -> int:
-        """Number of columns."""
-        return len(self._columns)
+        """Number of rows."""
+        return len(next(iter(self._columns.values())))
+
+    def keys(self) -> KeysView[str]:
+        """The names of the columns: `dict(table)` has them."""
+        return self._columns.keys()
 
     def __repr__(self) -> str:
-        return f"<Table of {self.rows} rows: {', '.join(self)}>"
+        return f"<Table of {len(self)} rows: {', '.join(self)}>"
+
+    def _repr_html_(self) -> str:
+        """The first and last rows, for a notebook."""
+        return html_table(self._columns, f"{len(self)} rows")
 
     def where(self, mask: Array) -> Table:
         """The rows for which the mask is true, or that a list of numbers names."""
         return Table({name: column[mask] for name, column in self._columns.items()})
 
     def to_pandas(self) -> pandas.DataFrame:
-        """The same as a DataFrame; rows of several numbers become columns of their
-        own, covariances as `covariance_xx`, `covariance_xy` and so on. Needs
-        pandas."""
+        """The same as a DataFrame, its stamps with the time zone UTC; rows of several
+        numbers become columns of their own, covariances as `covariance_xx`,
+        `covariance_xy` and so on. Needs pandas."""
         import pandas
 
-        columns: dict[str, Array] = {}
+        columns: dict[str, Any] = {}
         for name, column in self._columns.items():
-            columns.update(spread(name, column))
+            if column.dtype.kind == "M":
+                columns[name] = pandas.DatetimeIndex(column, tz="UTC")
+            else:
+                columns.update(spread(name, column))
         return pandas.DataFrame(columns)
-
-
-def spread(name: str, column: Array) -> dict[str, Array]:
-    """A column of one number per row for each number of a wider one."""
-    if column.ndim == 1:
-        return {name: column}
-    width = column.shape[1]
-    if "covariance" in name and width in _AXES:
-        axes = _AXES[width]
-        ends = [first + second for row, first in enumerate(axes)
-                for second in axes[row:]]
-    elif name == "quaternion":
-        ends = ["x", "y", "z", "w"]
-    else:
-        ends = [str(index) for index in range(width)]
-    return {f"{name}_{end}": column[:, index] for index, end in enumerate(ends)}
 
 
 def _name_of(enum: Any, value: int, prefix: str) -> str:
@@ -238,3 +236,40 @@ def candidate_table(answers: Iterable[v1.CandidateSet]) -> Table:
                         ("log_likelihood_ratio", "log_likelihood_ratio")):
         columns[name] = _part(rows, "shape", field)
     return Table(columns)
+
+
+@dataclasses.dataclass(frozen=True)
+class PoseGraph:
+    """A vehicle's graph at one revision."""
+
+    vehicle: v1.Vehicle
+    #: The columns are those of `node_table()`.
+    nodes: Table
+    #: The columns are those of `edge_table()`.
+    edges: Table
+
+    def plot(self, axes: Any = None) -> Any:
+        """Draws the trajectory and the loop closures in metres; returns the axes of
+        matplotlib, which it needs: `axes`, or those of a new figure."""
+        from matplotlib import pyplot
+
+        if axes is None:
+            axes = pyplot.subplots()[1]
+        x, y = self.nodes["x"], self.nodes["y"]
+        closures = self.edges.where(self.edges["kind"] == "LOOP_CLOSURE")
+        # A jump is no road: nodes that no edge joins are not joined here either.
+        consecutive = self.edges.where(self.edges["kind"] == "CONSECUTIVE")
+        joined = np.zeros(len(self.nodes), dtype=bool)
+        joined[consecutive["from_index"]] = True
+        breaks = np.flatnonzero(~joined[:-1]) + 1
+        axes.plot(np.insert(x, breaks, np.nan), np.insert(y, breaks, np.nan),
+                  color="0.4", linewidth=1, label="trajectory")
+        ends = np.stack([closures["from_index"], closures["to_index"]])
+        if len(closures):
+            axes.plot(x[ends], y[ends], color="#0a8f6a", linewidth=1.5,
+                      label=["loop closures"] + ["_"] * (len(closures) - 1))
+        axes.set_aspect("equal")
+        axes.set_xlabel("x (m)")
+        axes.set_ylabel("y (m)")
+        axes.legend()
+        return axes

@@ -55,6 +55,27 @@ TEST_F(FlagsTest, CommandIsChosenWithItsFlags) {
   EXPECT_EQ(grind_, 0.8);
 }
 
+TEST_F(FlagsTest, TextIsReadByWhoeverWantsIt) {
+  std::string milk;
+  line_.program().AddText(
+      "--milk", "KIND",
+      [&](const std::string& text) -> std::string {
+        milk = text;
+        return text == "oat" ? "" : "oat";
+      },
+      "Which milk");
+  const char* words[] = {"bar", "coffee", "filter", "--milk", "oat"};
+  EXPECT_TRUE(line_.Parse(5, words).ok());
+  EXPECT_EQ(milk, "oat");
+}
+
+TEST_F(FlagsTest, TextThatIsWrongIsRefused) {
+  line_.program().AddText(
+      "--milk", "KIND", [](const std::string&) { return "oat"; }, "Which milk");
+  EXPECT_EQ(Wrong({"coffee", "filter", "--milk", "soy"}),
+            "--milk: got \"soy\"; allowed is oat");
+}
+
 TEST_F(FlagsTest, HelpIsThatOfTheCommand) {
   const char* words[] = {"bar", "coffee", "--help"};
   const auto parsed = line_.Parse(3, words);

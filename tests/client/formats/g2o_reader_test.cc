@@ -1,6 +1,7 @@
 #include "client/formats/g2o_reader.h"
 
 #include <array>
+#include <cmath>
 #include <string>
 
 #include "gmock/gmock.h"
@@ -70,6 +71,38 @@ TEST(G2oReaderTest, BehindAMissingEdgeNothingIsKnown) {
   EXPECT_FALSE((*samples)[2].covariance.has_value());
 }
 
+TEST(G2oReaderTest, EdgesAloneAreComposedToThePosesThatVerticesHave) {
+  std::string edges = kPlanar;
+  edges.erase(edges.find("VERTEX"), edges.find("FIX") - edges.find("VERTEX"));
+  const auto expected = ReadText(kPlanar);
+  const auto samples = ReadText(edges);
+  ASSERT_TRUE(samples.ok()) << samples.status();
+  ASSERT_EQ(samples->size(), 3u);
+  for (std::size_t i = 0; i < 3; ++i) {
+    const Sample& is = (*samples)[i];
+    const Sample& should = (*expected)[i];
+    EXPECT_NEAR(is.estimate.x, should.estimate.x, 1e-12);
+    EXPECT_NEAR(is.estimate.y, should.estimate.y, 1e-12);
+    EXPECT_NEAR(is.estimate.heading, should.estimate.heading, 1e-12);
+    EXPECT_THAT(*is.covariance,
+                Pointwise(DoubleNear(1e-12), *should.covariance));
+  }
+}
+
+TEST(G2oReaderTest, SpatialEdgesAloneTurnTheStepsBehindThem) {
+  const std::string information =
+      " 1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1\n";
+  // Up the x axis after a quarter turn about y.
+  const auto samples =
+      ReadText("EDGE_SE3:QUAT 3 4 1 0 0 0 -0.70710678118 0 0.70710678118" +
+               information + "EDGE_SE3:QUAT 4 5 2 0 0 0 0 0 1" + information);
+  ASSERT_TRUE(samples.ok()) << samples.status();
+  ASSERT_EQ(samples->size(), 3u);
+  EXPECT_NEAR((*samples)[2].estimate.x, 1.0, 1e-9);
+  EXPECT_NEAR((*samples)[2].z, 2.0, 1e-9);
+  EXPECT_NEAR((*(*samples)[2].quaternion)[1], -std::sqrt(0.5), 1e-9);
+}
+
 TEST(G2oReaderTest, SaysWhereAFileIsWrong) {
   EXPECT_EQ(MessageOf(ReadText("VERTEX_SE2 0 0 0\n")),
             "a.txt:1: expected 5 fields of VERTEX_SE2, got 4");
@@ -77,8 +110,12 @@ TEST(G2oReaderTest, SaysWhereAFileIsWrong) {
             "a.txt:2: vertex 0 stands twice");
   EXPECT_THAT(MessageOf(ReadText("VERTEX_SE2 0 0 0 0\nhello 1 2\n")),
               HasSubstr("a.txt:2: expected an element such as VERTEX_SE2"));
-  EXPECT_THAT(MessageOf(ReadText("EDGE_SE2 0 1 0 0 0 1 0 0 1 0 1\n")),
+  EXPECT_THAT(MessageOf(ReadText("FIX 0\n")),
               HasSubstr("expected at least one VERTEX_SE2"));
+  EXPECT_THAT(MessageOf(ReadText("EDGE_SE2 0 1 0 0 0 1 0 0 1 0 1\n"
+                                 "EDGE_SE2 2 3 0 0 0 1 0 0 1 0 1\n")),
+              HasSubstr("a.txt:2: the file has no vertices, and no edges that "
+                        "lead from vertex 0 to vertex 2"));
   EXPECT_EQ(MessageOf(ReadText("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 0 0 0\n"
                                "EDGE_SE2 0 1 0 0 0 1 0 0 -1 0 1\n")),
             "a.txt:3: expected a positive definite information matrix");

@@ -1,7 +1,9 @@
 #include "client/formats/gnss_readers.h"
 
+#include <algorithm>
 #include <cmath>
 #include <string>
+#include <vector>
 
 #include "client/formats/angles.h"
 #include "client/formats/course.h"
@@ -154,19 +156,44 @@ TEST(NmeaReaderTest, JoinsTheSentencesOfAnEpoch) {
   EXPECT_LT((*fixes)[1].geodetic->longitude_degrees, 0.0);
 }
 
-TEST(NmeaReaderTest, PassesOverSentencesWithoutAFixAndRefusesWrongChecksums) {
-  const std::string fix =
-      Sentence("GNGGA,120000,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,");
+constexpr char kFix[] =
+    "GNGGA,12000$,4807.038,N,01131.00$,E,1,08,0.9,545.4,M,46.9,M,,";
+
+// The fix of a second, a little farther east each time.
+std::string FixAt(char second) {
+  std::string body = kFix;
+  std::replace(body.begin(), body.end(), '$', second);
+  return Sentence(body);
+}
+
+TEST(NmeaReaderTest, PassesOverSentencesWithoutAFix) {
   const auto fixes =
       ReadText(Sentence("GNGGA,115959,,,,,0,00,,,M,,M,,") +
-                   Sentence("GNRMC,115959,V,,,,,,,230394,,,N") + fix,
+                   Sentence("GNRMC,115959,V,,,,,,,230394,,,N") + FixAt('0'),
                Raw());
   ASSERT_TRUE(fixes.ok()) << fixes.status();
   EXPECT_EQ(fixes->size(), 1u);
-  std::string bad = fix;
+}
+
+TEST(NmeaReaderTest, SentencesWithAWrongChecksumAreCountedAndPassedOver) {
+  std::string bad = FixAt('1');
   bad[12] = '9';
-  EXPECT_THAT(MessageOf(ReadText(fix + bad, Raw())),
-              HasSubstr("a.txt:2: expected the checksum "));
+  auto reader =
+      ReadSamples(BytesOf(FixAt('0') + bad + FixAt('2')), "a.txt", Raw());
+  ASSERT_TRUE(reader.ok()) << reader.status();
+  const auto samples = ReadDrive(reader->get(), "a.txt");
+  ASSERT_TRUE(samples.ok()) << samples.status();
+  EXPECT_EQ(samples->samples.size(), 2u);
+  EXPECT_EQ(samples->left_out.wrong_checksums, 1);
+}
+
+TEST(NmeaReaderTest, MostlyWrongChecksumsAreAnError) {
+  std::string bad = FixAt('1');
+  bad[12] = '9';
+  EXPECT_EQ(MessageOf(ReadText(FixAt('0') + bad + bad, Raw())),
+            "a.txt:3: 2 of 3 sentences have a wrong checksum");
+  EXPECT_THAT(MessageOf(ReadText(bad, Raw())),
+              HasSubstr("got none and 1 sentences with a wrong checksum"));
 }
 
 TEST(GpxReaderTest, ReadsTrackPointsWhateverSurroundsThem) {
@@ -225,9 +252,13 @@ TEST(CourseTest, StandstillIsLeftOutWithAndWithoutVelocities) {
   ReaderOptions options;
   options.columns = "t=time";
   for (const bool velocity : {true, false}) {
-    const auto samples = ReadText(Eastwards(velocity), options);
-    ASSERT_TRUE(samples.ok()) << samples.status();
+    auto reader = ReadSamples(BytesOf(Eastwards(velocity)), "a.txt", options);
+    ASSERT_TRUE(reader.ok()) << reader.status();
+    const auto drive = ReadDrive(reader->get(), "a.txt");
+    ASSERT_TRUE(drive.ok()) << drive.status();
+    const std::vector<Sample>* const samples = &drive->samples;
     ASSERT_EQ(samples->size(), 7u);
+    EXPECT_EQ(drive->left_out.standing, 3);
     for (const Sample& sample : *samples) {
       EXPECT_TRUE(sample.has_heading);
       EXPECT_NEAR(sample.estimate.heading, 0.0, 1e-9);

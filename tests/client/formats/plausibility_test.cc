@@ -1,5 +1,6 @@
 #include "client/formats/plausibility.h"
 
+#include <Eigen/Geometry>
 #include <cmath>
 #include <cstdio>
 #include <functional>
@@ -175,6 +176,141 @@ TEST(PlausibilityTest, QuaternionsWithWFirstAreRefusedAndMended) {
   ReaderOptions options;
   options.conventions.quaternion = QuaternionOrder::kWxyz;
   ExpectTheDrive(text, options);
+}
+
+// TUM of bodies whose x, y and z point so in the vehicle, in a frame with z up.
+std::string TumOfBody(const BodyAxes& body, double turned_left = 0.0) {
+  std::string text;
+  for (int i = 0; i < 600; ++i) {
+    const Point p = DriveAt(i);
+    Eigen::Matrix3d columns;
+    for (int axis = 0; axis < 3; ++axis) {
+      const char letter = body[static_cast<std::size_t>(axis)];
+      columns.col(axis) = letter == 'f'   ? Eigen::Vector3d(1, 0, 0)
+                          : letter == 'b' ? Eigen::Vector3d(-1, 0, 0)
+                          : letter == 'l' ? Eigen::Vector3d(0, 1, 0)
+                          : letter == 'r' ? Eigen::Vector3d(0, -1, 0)
+                          : letter == 'u' ? Eigen::Vector3d(0, 0, 1)
+                                          : Eigen::Vector3d(0, 0, -1);
+    }
+    const Eigen::Quaterniond q(
+        Eigen::AngleAxisd(p.yaw + turned_left, Eigen::Vector3d::UnitZ())
+            .toRotationMatrix() *
+        columns);
+    text += Line("%.1f %.9f %.9f %.9f %.9f %.9f %.9f %.9f\n", 0.1 * i, p.x, p.y,
+                 p.z, q.x(), q.y(), q.z(), q.w());
+  }
+  return text;
+}
+
+TEST(PlausibilityTest, TurnedBodiesAreRefusedAndMended) {
+  for (const char* axes : {"rdf", "rfu", "frd", "lbu", "blu", "bru"}) {
+    const auto body = ReadBodyAxes(axes);
+    if (!body.has_value()) continue;
+    const std::string text = TumOfBody(*body);
+    EXPECT_THAT(Refusal(text), HasSubstr(std::string("they agree with "
+                                                     "--body-axes ") +
+                                         axes + " (the body's x points "));
+    ReaderOptions options;
+    options.conventions.body = body;
+    ExpectTheDrive(text, options);
+  }
+  EXPECT_EQ(ReadBodyAxes("camera"), ReadBodyAxes("rdf"));
+  for (const char* wrong : {"", "flu ", "fld", "ffu", "fbu", "xyz", "FLU"}) {
+    EXPECT_EQ(ReadBodyAxes(wrong), std::nullopt) << wrong;
+  }
+}
+
+TEST(PlausibilityTest, BodiesTurnedByAnyAngleAreRefusedAndMended) {
+  const double angle = 37.0 * kRadiansPerDegree;
+  const std::string tum = TumOfBody({'r', 'f', 'u'}, angle);
+  EXPECT_THAT(Refusal(tum),
+              HasSubstr("--body-axes rfu --body-yaw 37 (the body's x points "
+                        "right, y forward, z up, and the body is turned 37 "
+                        "degrees to the left of where it moves)"));
+  ReaderOptions options;
+  options.conventions.body_yaw = angle;
+  options.conventions.body = ReadBodyAxes("rfu");
+  ExpectTheDrive(tum, options);
+
+  const std::string csv = Csv([angle](Point p) {
+    p.yaw -= 2.0 * angle;
+    return p;
+  });
+  EXPECT_THAT(Refusal(csv), HasSubstr("they agree with --body-yaw -74 "));
+  options.conventions = {};
+  options.conventions.body_yaw = -2.0 * angle;
+  ExpectTheDrive(csv, options);
+}
+
+TEST(PlausibilityTest, TurnedBodiesAreFoundByOtherConventionsToo) {
+  // As the poses of Boreas have it: a LiDAR's heading, clockwise.
+  const double angle = 43.0 * kRadiansPerDegree;
+  const std::string text = Csv([angle](Point p) {
+    p.yaw = kPi / 2.0 - (p.yaw + angle);
+    return p;
+  });
+  EXPECT_THAT(Refusal(text),
+              HasSubstr("they agree with --angles compass-radians --body-yaw "
+                        "43 (radians clockwise from north; the body is turned "
+                        "43 degrees to the left of where it moves)"));
+  ReaderOptions options;
+  options.conventions.angles = Angles::kCompassRadians;
+  options.conventions.body_yaw = angle;
+  ExpectTheDrive(text, options);
+}
+
+TEST(PlausibilityTest, YawAloneIsThatOfTheBodysX) {
+  const std::string text = Csv([](Point p) {
+    p.yaw -= kPi / 2.0;
+    return p;
+  });
+  ReaderOptions options;
+  options.conventions.body = ReadBodyAxes("rfu");
+  ExpectTheDrive(text, options);
+  options.conventions.body = ReadBodyAxes("dlf");
+  EXPECT_THAT(MessageOf(ReadText(text, options)),
+              HasSubstr("a.txt:2: --body-axes with x up or down needs"));
+}
+
+TEST(PlausibilityTest, KilometresAreRefused) {
+  const auto kilometres = [](Point p) {
+    p.x /= 1000.0;
+    p.y /= 1000.0;
+    return p;
+  };
+  EXPECT_THAT(Refusal(Csv(kilometres, 1200)),
+              HasSubstr("whose positions are in kilometres; expected metres"));
+  // A vehicle that shakes where it stands is none.
+  EXPECT_TRUE(ReadText(Csv(
+                           [](Point p) {
+                             return Point{0.001 * std::sin(1e4 * p.x),
+                                          0.001 * std::cos(3e4 * p.x), 0, 0};
+                           },
+                           1200),
+                       ReaderOptions())
+                  .ok());
+}
+
+TEST(PlausibilityTest, EarthCentredPositionsAreRefused) {
+  std::string text = "t,x,y,z\n";
+  for (int i = 0; i < 100; ++i) {
+    // To the east at 47 degrees north.
+    text += Line("%.1f,%.3f,%.3f,%.3f\n", 0.1 * i, 4.2e6 - 0.1 * i,
+                 1.2e6 + 0.5 * i, 4.6e6, 0, 0, 0, 0);
+  }
+  ReaderOptions options;
+  options.columns = "t=t,x=x,y=y,z=z";
+  EXPECT_THAT(Refusal(text, options),
+              HasSubstr("as earth-centred ones (ECEF)"));
+  // Northings are as large.
+  EXPECT_TRUE(ReadText(Csv([](Point p) {
+                         p.x += 500'000.0;
+                         p.y += 6'350'000.0;
+                         return p;
+                       }),
+                       ReaderOptions())
+                  .ok());
 }
 
 TEST(PlausibilityTest, LongitudeAndLatitudeAreRefusedAndMended) {

@@ -66,6 +66,130 @@ TEST(CsvReaderTest, ReadsAnyonesHeaderByTheNamesThatAreGiven) {
   EXPECT_NEAR((*samples)[1].estimate.heading, std::atan2(0.96, 0.28), 1e-12);
 }
 
+ReaderOptions Columns(const std::string& columns) {
+  ReaderOptions options;
+  options.columns = columns;
+  options.accept_suspicious = true;
+  return options;
+}
+
+TEST(CsvReaderTest, ColumnsAreCountedInFilesWithoutNames) {
+  for (const char* text :
+       {"5 7 8 0.1 x\n6 9 8 0.1 x\n", "5,7,8,0.1,x\r\n6,9,8,0.1,x\r\n",
+        "5\t 7\t8 0.1 x\n6 \t9 8\t0.1\tx\n", "5; 7; 8; 0.1; x\n6;9;8;0.1;x",
+        "# t x y yaw\n5 7 8 0.1 x\n% more\n\n6 9 8 0.1 x\n",
+        "time east north psi note\n5 7 8 0.1 x\n6 9 8 0.1 x\n"}) {
+    const auto samples = ReadText(text, Columns("t=1,x=2,y=3,yaw=4"));
+    ASSERT_TRUE(samples.ok()) << text << samples.status();
+    ASSERT_EQ(samples->size(), 2u) << text;
+    EXPECT_EQ((*samples)[1].time_nanoseconds, 6'000'000'000);
+    EXPECT_EQ((*samples)[1].estimate.x, 9.0);
+    EXPECT_EQ((*samples)[1].estimate.y, 8.0);
+    EXPECT_EQ((*samples)[1].estimate.heading, 0.1);
+  }
+}
+
+TEST(CsvReaderTest, SaysWhichCountedColumnIsMissing) {
+  EXPECT_EQ(MessageOf(ReadText("5 7 8\n", Columns("t=1,x=2,y=3,yaw=4"))),
+            "a.txt:1: expected a column 4 as --columns says, got 3 in "
+            "\"5 7 8\"");
+  EXPECT_EQ(MessageOf(ReadText("5 7 8\n5 z 8\n", Columns("t=1,x=2,y=3"))),
+            "a.txt:2: expected a finite number for value 2 of the line, got "
+            "\"z\"");
+  EXPECT_EQ(MessageOf(ReadText("5 7 8\n5 8\n", Columns("t=1,x=2,y=3"))),
+            "a.txt:2: expected 3 fields as before, got 2");
+}
+
+// As KF-GINS writes it, and NovAtel's INSPVA behind its header.
+TEST(CsvReaderTest, ReadsWeeksAndTheirSeconds) {
+  ReaderOptions options =
+      Columns("week=1,tow=2,lat=3,lon=4,height=5,vn=6,ve=7,yaw=11");
+  options.conventions.angles = Angles::kCompassDegrees;
+  const auto samples = ReadText(
+      "2270 194670.2 30.4447873 114.4718632 20.9 0.0 1.0 0 0.8 -2.0 185.7\n",
+      options);
+  ASSERT_TRUE(samples.ok()) << samples.status();
+  EXPECT_EQ((*samples)[0].time_nanoseconds, 1'689'055'470'200'000'000);
+  EXPECT_EQ((*samples)[0].geodetic->latitude_degrees, 30.4447873);
+  EXPECT_NEAR(std::remainder((*samples)[0].estimate.heading, 2 * kPi),
+              (90.0 - 185.7) * kRadiansPerDegree, 1e-12);
+  EXPECT_THAT(MessageOf(ReadText("x 5 7 8\n1 y 7 8\n",
+                                 Columns("week=1,tow=2,x=3,y=4"))),
+              HasSubstr("a.txt:1: expected a finite number"));
+  EXPECT_THAT(
+      MessageOf(ReadText("1 6e8 7 8\n", Columns("week=1,tow=2,x=3,y=4"))),
+      HasSubstr("a.txt:1: expected a GPS week and seconds of it"));
+  EXPECT_THAT(MessageOf(ReadText("1 7 8\n", Columns("tow=1,x=2,y=3"))),
+              HasSubstr("expected a column week"));
+}
+
+TEST(CsvReaderTest, ReadsDiagonalCovariancesAndDeviations) {
+  const std::array<double, 6> diagonal = {4, 0, 0, 9, 0, 0.25};
+  for (const char* text : {"t,x,y,yaw,pxx,pyy,ptt\n0,1,2,0,4,9,0.25\n",
+                           "t,x,y,yaw,sdx,sdy,sdyaw\n0,1,2,0,2,-3,0.5\n"}) {
+    const auto samples = ReadText(text);
+    ASSERT_TRUE(samples.ok()) << samples.status();
+    EXPECT_EQ((*samples)[0].covariance, diagonal);
+  }
+  ReaderOptions options = Columns("lat=1,lon=2,sdx=3,sdy=4,sdz=5");
+  options.keep_without_heading = true;
+  const auto fix = ReadText("30 114 2 3 5\n", options);
+  ASSERT_TRUE(fix.ok()) << fix.status();
+  const std::array<double, 3> position = {4, 0, 9};
+  const std::array<double, 3> height = {0, 0, 25};
+  EXPECT_EQ((*fix)[0].position_covariance, position);
+  EXPECT_EQ((*fix)[0].height_covariance, height);
+  EXPECT_FALSE((*fix)[0].covariance.has_value());
+  EXPECT_THAT(MessageOf(ReadText("t,x,y,yaw,pxx,pyy\n0,1,2,0,4,9\n")),
+              HasSubstr("expected a column ptt"));
+  EXPECT_THAT(MessageOf(ReadText("t,x,y,yaw,pxx,pxy,pyy,ptt\n"
+                                 "0,1,2,0,4,0,9,1\n")),
+              HasSubstr("expected a column p"));
+}
+
+TEST(CsvReaderTest, HeadersOfTheShortNamesNeedNoFlags) {
+  for (const char* text :
+       {"t,x,y,yaw\r\n5,7,8,0.1\r\n", "t x y yaw\n5 7 8 0.1\n",
+        "yaw;y;x;t\n0.1;8;7;5\n"}) {
+    const auto samples = ReadText(text);
+    ASSERT_TRUE(samples.ok()) << samples.status();
+    EXPECT_EQ((*samples)[0].time_nanoseconds, 5'000'000'000);
+    EXPECT_EQ((*samples)[0].estimate.x, 7.0);
+    EXPECT_EQ((*samples)[0].estimate.heading, 0.1);
+  }
+  EXPECT_THAT(MessageOf(ReadText("t,x,y\n5,7,8\n")),
+              HasSubstr("a.txt:1: expected a column yaw, got \"t\""));
+  // Short names beside those of a drive mean something else.
+  const auto drive = ReadText("t_s,est_x,est_y,est_yaw,x,y\n5,7,8,0.1,1,2\n");
+  ASSERT_TRUE(drive.ok()) << drive.status();
+  EXPECT_EQ((*drive)[0].estimate.x, 7.0);
+}
+
+TEST(ReaderTest, LinesThatEndInCarriageReturnsAreFoundOut) {
+  const auto samples = ReadText("\r\n5 1 2 3 0 0 0 1\r\n6 1 2 3 0 0 0 1\r\n");
+  ASSERT_TRUE(samples.ok()) << samples.status();
+  EXPECT_EQ(samples->size(), 2u);
+}
+
+TEST(ReaderTest, TextThatEndsInTheMiddleOfANumberIsRefused) {
+  std::string text = "t,x,y,yaw\n";
+  for (int i = 0; i < 20; ++i) {
+    text += std::to_string(i) + ".0,1.0,2.0,0.123456\n";
+  }
+  const std::string whole = text + "20.0,1.0,2.0,0.123456";
+  EXPECT_TRUE(ReadText(whole).ok());
+  EXPECT_TRUE(ReadText(whole + "\n").ok());
+  for (const std::size_t cut : {1, 4, 6, 7}) {
+    const std::string is_cut = whole.substr(0, whole.size() - cut);
+    EXPECT_THAT(MessageOf(ReadText(is_cut)),
+                HasSubstr("a.txt:22: the text ends in the middle of a number"));
+    EXPECT_TRUE(ReadText(is_cut + "\n").ok() || cut == 7);
+  }
+  // Where numbers are as long as they need to be, a short one says nothing.
+  text += "20.0,1.0,2.0,0.5\n";
+  EXPECT_TRUE(ReadText(text + "21.0,1.0,2.0,0.5").ok());
+}
+
 TEST(CsvReaderTest, ReadsTransitionsAndCovariancesOfThirtySixNumbers) {
   std::string header =
       "t_s,est_x,est_y,est_yaw,fxx,fxy,fxt,fyx,fyy,fyt,ftx,fty,ftt";

@@ -1,6 +1,7 @@
 #include "client/formats/truth_file.h"
 
 #include <cmath>
+#include <fstream>
 #include <string>
 
 #include "client/formats/angles.h"
@@ -23,6 +24,10 @@ absl::StatusOr<std::vector<TruthPose>> Reference(const std::string& text) {
 std::string Words(const absl::Status& status) {
   EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument);
   return std::string(status.message());
+}
+
+std::string Words(const absl::StatusOr<WithoutTruth>& added) {
+  return Words(added.status());
 }
 
 TEST(GeodeticTest, SeesADegreeOfLatitudeAndLongitudeFromTheEquator) {
@@ -95,13 +100,48 @@ TEST(TruthFileTest, InterpolatesTheTruthTheShortWayRound) {
   EXPECT_NEAR(drive.truth[2].heading, 3.1 + 0.25 * (2 * kPi - 6.2), 1e-12);
 }
 
+TEST(TruthFileTest, PosesOutsideTheTruthAreLeftOutAndCounted) {
+  Drive drive = TenSeconds();
+  const auto without = AddTruth(
+      {{500'000'000, {0.5, 0.0, 0.0}}, {7'500'000'000, {7.5, 0.0, 0.0}}},
+      &drive);
+  ASSERT_TRUE(without.ok()) << without.status();
+  EXPECT_EQ(without->poses_before, 1u);
+  EXPECT_EQ(without->poses_after, 2u);
+  EXPECT_NEAR(without->seconds_before, 0.5, 1e-9);
+  EXPECT_NEAR(without->seconds_after, 1.5, 1e-9);
+  ASSERT_EQ(drive.samples.size(), 7u);
+  ASSERT_EQ(drive.truth.size(), 7u);
+  EXPECT_EQ(drive.samples[0].time_nanoseconds, kNanosecondsPerSecond);
+  EXPECT_NEAR(drive.truth[0].x, 1.0, 1e-12);
+  EXPECT_NEAR(drive.truth[6].x, 7.0, 1e-12);
+}
+
+TEST(TruthFileTest, TruthIsReadByOptionsOfItsOwn) {
+  const std::string path = ::testing::TempDir() + "/truth.txt";
+  std::ofstream(path) << "1 0 0 5 0 1 0 0 0 0 1 7\n1 0 0 5 0 1 0 0 0 0 1 9\n";
+  ReaderOptions options;
+  options.rate_hz = 10.0;
+  options.conventions.axes = Axes::kCamera;
+  const auto truth = ReadTruth(path, options, std::nullopt);
+  ASSERT_TRUE(truth.ok()) << truth.status();
+  ASSERT_EQ(truth->size(), 2u);
+  EXPECT_EQ((*truth)[1].time_nanoseconds, 100'000'000);
+  EXPECT_EQ((*truth)[1].pose.x, 9.0);
+  EXPECT_EQ((*truth)[1].pose.y, -5.0);
+  options.columns = "x=1,y=2";
+  options.format = Format::kKitti;
+  EXPECT_EQ(Words(ReadTruth(path, options, std::nullopt).status()),
+            "--truth-columns goes with --truth-format drive only");
+}
+
 TEST(TruthFileTest, RefusesTimesThatDoNotFit) {
   const std::vector<TruthPose> truth = {{-500'000'000, {}},
-                                        {8'500'000'000, {}}};
+                                        {3'500'000'000, {}}};
   Drive drive = TenSeconds();
-  EXPECT_THAT(Words(AddTruth(truth, &drive)),
-              HasSubstr("made: an epoch at 9.000000 s lies outside the "
-                        "reference's times, -0.500000 to 8.500000 s"));
+  EXPECT_EQ(Words(AddTruth(truth, &drive)),
+            "made: 6 of 10 poses, whose times are 0.000000 to 9.000000 s, lie "
+            "outside the truth's times, -0.500000 to 3.500000 s");
   drive.samples[4].time_nanoseconds = 3 * kNanosecondsPerSecond;
   EXPECT_EQ(Words(AddTruth(truth, &drive)), "made: expected times that grow");
   drive = TenSeconds();

@@ -75,6 +75,22 @@ TEST(MapSvg, TrajectoryIsNotDrawnOverAJump) {
   EXPECT_EQ(std::count(path.begin(), path.end(), 'M'), 2);
 }
 
+TEST(MapSvg, ArrowsPointWhereTheVehicleGoes) {
+  const std::string svg = DrawMap(SmallMap());
+  const std::string begin = "<path class=\"arrow\" fill=\"#1f3b57\" d=\"M";
+  const auto points_right = [&](std::size_t at) {
+    const std::size_t tip = at + begin.size();
+    return std::stod(svg.substr(tip)) >
+           std::stod(svg.substr(svg.find('L', tip) + 1));
+  };
+  const std::size_t first = svg.find(begin);
+  ASSERT_NE(first, std::string::npos);
+  EXPECT_TRUE(points_right(first));
+  // The way back.
+  const std::size_t last = svg.rfind(begin);
+  EXPECT_FALSE(points_right(last));
+}
+
 TEST(MapSvg, OneNodeIsDrawnToo) {
   MapContents contents;
   contents.title = "one";

@@ -200,6 +200,20 @@ TEST(DeadReckoningTest, RefusesAFileWithoutColumnsWhereTheyAreAskedFor) {
           "the format has in their place); --uncertainty model makes one"));
 }
 
+TEST(DeadReckoningTest, GeodeticFixesWithAHeadingNeedNoCovariance) {
+  Drive drive = MakeDrive({{0, 0, 0}});
+  drive.samples[0].geodetic = {48.0, 11.0, 500.0};
+  UncertaintyOptions options;
+  options.source = UncertaintyOptions::Source::kFixes;
+  options.fix_position = 0.5;
+  options.start_heading = 0.02;
+  const auto claims = ClaimUncertainty(drive, options);
+  ASSERT_TRUE(claims.ok()) << claims.status();
+  EXPECT_THAT((*claims)[0].planar,
+              ::testing::Pointwise(::testing::DoubleNear(1e-15),
+                                   {0.25, 0.0, 0.0, 0.25, 0.0, 4e-4}));
+}
+
 TEST(DeadReckoningTest, ScaledClaimsAreThoseOfTheScale) {
   Drive drive;
   for (int i = 0; i < 3; ++i) {

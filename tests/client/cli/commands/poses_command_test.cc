@@ -1,5 +1,7 @@
 #include "client/cli/commands/poses_command.h"
 
+#include <cmath>
+
 #include "gmock/gmock.h"
 #include "nlohmann/json.hpp"
 #include "tests/client/cli/commands/command_test.h"
@@ -45,6 +47,19 @@ TEST_F(PosesCommandTest, TableHasItsTitlesOnce) {
   EXPECT_EQ(out_.str().find("SEQUENCE", 1), std::string::npos);
   EXPECT_THAT(out_.str(), HasSubstr("\n    1500  -  "));
   EXPECT_THAT(out_.str(), HasSubstr(" 1500.000  "));
+}
+
+TEST_F(PosesCommandTest, YawOfAQuaternionIsANumber) {
+  v1::PoseBatch batch;
+  v1::Pose* const pose = batch.add_poses();
+  pose->set_sequence(1);
+  pose->mutable_local();
+  // Two radians about z.
+  pose->mutable_quaternion()->set_z(std::sin(1.0));
+  pose->mutable_quaternion()->set_w(std::cos(1.0));
+  server_.Replace("first", batch);
+  ASSERT_TRUE(RunPosesList(client_, {"shuttle"}, Text()).ok());
+  EXPECT_THAT(out_.str(), HasSubstr("  2.00000\n"));
 }
 
 TEST_F(PosesCommandTest, ErrorBeforeTheFirstPosePrintsNothing) {

@@ -1,0 +1,326 @@
+"""The calls of the service as the clients make them: what is asked, and what of the
+answer is handed out. The blocking client and that of asyncio make the same ones."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, Callable, Generic, Optional, TypeVar, Union
+
+import numpy as np
+from google.protobuf import field_mask_pb2
+from numpy.typing import ArrayLike
+
+from revisit import v1
+from revisit._settings import merged
+from revisit.arrays import Poses, PosesLike, to_covariances
+from revisit.errors import Internal
+from revisit.stream_options import ProgressBar
+from revisit.tables import PoseGraph, edge_table, node_table
+
+_T = TypeVar("_T")
+_Pair = TypeVar("_Pair", v1.LoopClosure, v1.RejectedCandidate)
+
+#: Calls of which two are not the same as one: between two attempts another caller
+#: may have changed the same thing.
+_NEVER_REPEATED = frozenset({
+    "UpdateVehicle", "DeleteVehicle", "DeleteLoopClosure", "DeleteRejectedCandidate",
+    "AcceptDataLoss"})
+
+#: Poses in a message of RevisePoses.
+_REVISED_POSES = 1000
+#: Poses and pairs on a page of a list.
+_POSES_PAGE = 10_000
+_PAGE = 1000
+#: Empty pages that may follow each other. The service sends none before the last.
+_MOST_EMPTY_PAGES = 100
+
+
+def vehicle_name(vehicle: str) -> str:
+    """The resource name: "vehicles/shuttle-7", also of the id "shuttle-7"."""
+    return vehicle if "/" in vehicle else f"vehicles/{vehicle}"
+
+
+def _messages(poses: PosesLike) -> Iterable[v1.Pose]:
+    return poses.to_messages() if isinstance(poses, Poses) else poses
+
+
+@dataclasses.dataclass(frozen=True)
+class Call(Generic[_T]):
+    """One call. What the stub answers goes to `unpack`: a message, or the list of
+    those that a stream brought."""
+
+    method: str
+    #: A message, or what makes the iterator of a stream of them for each attempt.
+    request: Union[Any, Callable[[], Iterator[Any]]]
+    unpack: Callable[[Any], _T]
+    #: Whether doing it twice is the same as doing it once.
+    is_safe: bool = True
+    #: Whether it has the time of exports and revisions.
+    is_bulk: bool = False
+    #: Whether it answers a stream.
+    answers_stream: bool = False
+
+    def start(self, stub: Any, arguments: dict[str, Any]) -> Any:
+        """Begins the call. Returns the answer, or gRPC's handle of the call."""
+        request = self.request() if callable(self.request) else self.request
+        return getattr(stub, self.method)(request, **arguments)
+
+
+def unary(method: str, request: Any,
+          unpack: Callable[[Any], _T] = lambda answer: answer) -> Call[_T]:
+    return Call(method, request, unpack, is_safe=method not in _NEVER_REPEATED)
+
+
+class Pages(Generic[_T]):
+    """A list that is read page by page: `request` is for the next one."""
+
+    def __init__(self, method: str, request: Any, field: str,
+                 order: str = "name") -> None:
+        """`field` of an answer has what is on a page, ordered by its field
+        `order`."""
+        self._method = method
+        self._request = request
+        self._field = field
+        self._order = order
+        self._last: Any = None
+        self._empty_pages = 0
+
+    def call(self) -> Call[Any]:
+        return unary(self._method, self._request)
+
+    def items(self, page: Any) -> Iterator[_T]:
+        """The items of a page. Internal if the list does not go on in its order, as
+        when the server sends a page again, or consists of empty pages: it might
+        never end."""
+        for item in getattr(page, self._field):
+            key = getattr(item, self._order)
+            if self._last is not None and key <= self._last:
+                raise Internal(f"the server's list does not go on: {key} comes "
+                               f"after {self._last}")
+            self._last = key
+            yield item
+
+    def turn(self, page: Any) -> bool:
+        """Asks for the page after this one; whether there is one."""
+        if not page.next_page_token:
+            return False
+        self._empty_pages = (0 if getattr(page, self._field)
+                             else self._empty_pages + 1)
+        if self._empty_pages > _MOST_EMPTY_PAGES:
+            raise Internal(f"the server's list does not go on: {self._empty_pages} "
+                           "empty pages follow each other, and each names another")
+        self._request.page_token = page.next_page_token
+        return True
+
+
+# Vehicles.
+
+
+def _vehicle_of(answer: Any) -> v1.Vehicle:
+    vehicle: v1.Vehicle = answer.vehicle
+    return vehicle
+
+
+def create_vehicle(vehicle_id: str, settings: Optional[v1.VehicleSettings],
+                   display_name: str, labels: Optional[Mapping[str, str]],
+                   keywords: Mapping[str, Any]) -> Call[v1.Vehicle]:
+    return unary("CreateVehicle", v1.CreateVehicleRequest(
+        vehicle_id=vehicle_id.removeprefix("vehicles/"),
+        vehicle=v1.Vehicle(
+            settings=merged(v1.VehicleSettings, settings, keywords),
+            display_name=display_name, labels=labels)), _vehicle_of)
+
+
+def get_vehicle(vehicle: str) -> Call[v1.Vehicle]:
+    return unary("GetVehicle", v1.GetVehicleRequest(name=vehicle_name(vehicle)),
+                 _vehicle_of)
+
+
+def list_vehicles() -> Pages[v1.Vehicle]:
+    return Pages("ListVehicles", v1.ListVehiclesRequest(page_size=_PAGE), "vehicles")
+
+
+def update_vehicle(vehicle: str, settings: Optional[v1.VehicleSettings],
+                   names: Iterable[str], display_name: Optional[str],
+                   labels: Optional[Mapping[str, Optional[str]]],
+                   keywords: Mapping[str, Any]) -> Call[v1.Vehicle]:
+    changed = v1.Vehicle(name=vehicle_name(vehicle),
+                         settings=merged(v1.VehicleSettings, settings, keywords))
+    paths = [f"settings.{name}" for name in (*names, *keywords)]
+    if display_name is not None:
+        changed.display_name = display_name
+        paths.append("display_name")
+    for key, value in (labels or {}).items():
+        if value is not None:
+            changed.labels[key] = value
+        paths.append(f"labels.{key}")
+    return unary("UpdateVehicle", v1.UpdateVehicleRequest(
+        vehicle=changed, update_mask=field_mask_pb2.FieldMask(paths=paths)),
+        _vehicle_of)
+
+
+def delete_vehicle(vehicle: str) -> Call[Any]:
+    return unary("DeleteVehicle", v1.DeleteVehicleRequest(name=vehicle_name(vehicle)))
+
+
+def accept_data_loss(vehicle: str, durable_sequence: int) -> Call[v1.Vehicle]:
+    return unary("AcceptDataLoss", v1.AcceptDataLossRequest(
+        name=vehicle_name(vehicle), durable_sequence=durable_sequence), _vehicle_of)
+
+
+# Poses.
+
+
+def append_poses(vehicle: str, poses: PosesLike, vehicle_uid: str) -> Call[v1.Ack]:
+    def ack(answer: v1.AppendPosesResponse) -> v1.Ack:
+        return answer.ack
+
+    return unary("AppendPoses", v1.AppendPosesRequest(
+        vehicle=vehicle_name(vehicle), poses=_messages(poses),
+        vehicle_uid=vehicle_uid), ack)
+
+
+def counted(pose: v1.Pose, progress: Optional[ProgressBar]) -> v1.Pose:
+    """The pose, after progress was told of it."""
+    if progress is not None:
+        progress.update(1)
+    return pose
+
+
+def list_poses(vehicle: str, first_sequence: int, as_sent: bool) -> Pages[v1.Pose]:
+    return Pages("ListPoses", v1.ListPosesRequest(
+        parent=vehicle_name(vehicle), page_size=_POSES_PAGE,
+        first_sequence=first_sequence,
+        view=v1.POSE_VIEW_AS_SENT if as_sent else v1.POSE_VIEW_CURRENT,
+    ), "poses", order="sequence")
+
+
+def revise_poses(vehicle: str, poses: PosesLike,
+                 expected_revision: int) -> Call[v1.RevisePosesResponse]:
+    revised = list(_messages(poses))
+
+    def requests() -> Iterator[v1.RevisePosesRequest]:
+        for start in range(0, max(len(revised), 1), _REVISED_POSES):
+            yield v1.RevisePosesRequest(
+                vehicle=vehicle_name(vehicle),
+                expected_revision=expected_revision if start == 0 else 0,
+                poses=revised[start:start + _REVISED_POSES])
+
+    return Call("RevisePoses", requests, lambda answer: answer,
+                is_safe=expected_revision != 0, is_bulk=True)
+
+
+def export_pose_graph(vehicle: str) -> Call[PoseGraph]:
+    def graph(parts: list[v1.ExportPoseGraphResponse]) -> PoseGraph:
+        return PoseGraph(
+            parts[0].vehicle if parts else v1.Vehicle(),
+            node_table(node for part in parts for node in part.nodes),
+            edge_table(edge for part in parts for edge in part.edges))
+
+    return Call("ExportPoseGraph",
+                v1.ExportPoseGraphRequest(vehicle=vehicle_name(vehicle)), graph,
+                is_bulk=True, answers_stream=True)
+
+
+# Candidates, and what a verifier found of them.
+
+
+def find_candidates(vehicle: str, sequence: int,
+                    options: Optional[v1.CandidateOptions],
+                    keywords: Mapping[str, Any]) -> Call[v1.CandidateSet]:
+    def candidates(answer: v1.FindCandidatesResponse) -> v1.CandidateSet:
+        return answer.candidates
+
+    return unary("FindCandidates", v1.FindCandidatesRequest(
+        vehicle=vehicle_name(vehicle), sequence=sequence,
+        options=merged(v1.CandidateOptions, options, keywords)), candidates)
+
+
+def _pair(query: Union[int, v1.Candidate, _Pair], matched: Optional[int],
+          kind: type[_Pair], note: str) -> _Pair:
+    """The message that reports a finding, unless the caller has made it."""
+    if isinstance(query, int):
+        if matched is None:
+            raise TypeError("matched is missing: two sequences, or a candidate")
+        return kind(query_sequence=query, matched_sequence=matched, note=note)
+    if matched is not None:
+        raise TypeError(f"matched: got {matched!r} beside a {type(query).__name__}, "
+                        "which has both poses")
+    if isinstance(query, v1.Candidate):
+        return kind(query_sequence=query.query.sequence,
+                    matched_sequence=query.matched.sequence, note=note)
+    if note:
+        raise ValueError(f"note: got {note!r} beside a {kind.__name__}, which has "
+                         "a note of its own")
+    return query
+
+
+def _measurement(relative: ArrayLike,
+                 covariance: Optional[ArrayLike]) -> v1.LoopClosureMeasurement:
+    if covariance is None:
+        raise TypeError("relative needs its covariance: nothing is assumed of it")
+    numbers = np.asarray(relative, dtype=np.float64)
+    if numbers.shape in ((3, 3), (4, 4)):
+        turn = np.arctan2(numbers[1, 0], numbers[0, 0])
+        numbers = np.append(numbers[:-1, -1], turn)
+    if numbers.shape not in ((3,), (4,)):
+        raise ValueError(
+            f"relative has the shape {numbers.shape}: expected x, y, heading, or x, y, "
+            "z, heading, or a matrix (3, 3) or (4, 4) that maps the query's body into "
+            "the match's")
+    values, form = to_covariances(np.asarray(covariance, np.float64)[np.newaxis], 1)
+    x, y, *z, heading = numbers.tolist()
+    return v1.LoopClosureMeasurement(
+        x_meters=x, y_meters=y, z_meters=z[0] if z else 0.0, heading_radians=heading,
+        covariance=v1.Covariance(form=v1.CovarianceForm.Name(form), values=values[0]))
+
+
+def add_loop_closure(vehicle: str, query: Union[int, v1.Candidate, v1.LoopClosure],
+                     matched: Optional[int], relative: Optional[ArrayLike],
+                     covariance: Optional[ArrayLike], score: Optional[float],
+                     note: str, loop_closure_id: str
+                     ) -> Call[v1.AddLoopClosureResponse]:
+    made = v1.LoopClosure()
+    made.CopyFrom(_pair(query, matched, v1.LoopClosure, note))
+    if relative is not None:
+        made.measurement.CopyFrom(_measurement(relative, covariance))
+    elif covariance is not None:
+        raise TypeError("covariance is that of relative, which is missing")
+    if score is not None:
+        made.score = score
+    return unary("AddLoopClosure", v1.AddLoopClosureRequest(
+        parent=vehicle_name(vehicle), loop_closure_id=loop_closure_id,
+        loop_closure=made))
+
+
+def list_loop_closures(vehicle: str) -> Pages[v1.LoopClosure]:
+    return Pages("ListLoopClosures", v1.ListLoopClosuresRequest(
+        parent=vehicle_name(vehicle), page_size=_PAGE), "loop_closures")
+
+
+def delete_loop_closure(name: str) -> Call[Any]:
+    return unary("DeleteLoopClosure", v1.DeleteLoopClosureRequest(name=name))
+
+
+def reject_candidate(vehicle: str,
+                     query: Union[int, v1.Candidate, v1.RejectedCandidate],
+                     matched: Optional[int], note: str, rejected_candidate_id: str
+                     ) -> Call[v1.RejectCandidateResponse]:
+    return unary("RejectCandidate", v1.RejectCandidateRequest(
+        parent=vehicle_name(vehicle), rejected_candidate_id=rejected_candidate_id,
+        rejected_candidate=_pair(query, matched, v1.RejectedCandidate, note)))
+
+
+def list_rejected_candidates(vehicle: str) -> Pages[v1.RejectedCandidate]:
+    return Pages("ListRejectedCandidates", v1.ListRejectedCandidatesRequest(
+        parent=vehicle_name(vehicle), page_size=_PAGE), "rejected_candidates")
+
+
+def delete_rejected_candidate(name: str) -> Call[Any]:
+    return unary("DeleteRejectedCandidate",
+                 v1.DeleteRejectedCandidateRequest(name=name))
+
+
+def server_info() -> Call[v1.GetServerInfoResponse]:
+    return unary("GetServerInfo", v1.GetServerInfoRequest())

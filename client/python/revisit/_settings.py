@@ -1,0 +1,51 @@
+"""Settings and options that are given as keywords."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from typing import Any, Optional, TypeVar, Union
+
+from revisit import v1
+
+_T = TypeVar("_T", v1.VehicleSettings, v1.CandidateOptions)
+
+
+def _number_of(enum: Any, name: str, word: Union[str, int]) -> Any:
+    """The value of an enum by its name without what all of them begin with, in the
+    letters of the API or of the command line: "DEAD_RECKONING", "dead-reckoning"."""
+    if not isinstance(word, str):
+        return word
+    names = [value.name for value in enum.values]
+    prefix = names[0].removesuffix("UNSPECIFIED")
+    wanted = word.upper().replace("-", "_").removeprefix(prefix)
+    if prefix + wanted not in names or wanted == "UNSPECIFIED":
+        allowed = ", ".join(one.removeprefix(prefix) for one in names[1:])
+        raise ValueError(f"{name} is {word!r}: expected one of {allowed}")
+    return enum.values_by_name[prefix + wanted].number
+
+
+def merged(kind: type[_T], base: Optional[_T],
+           keywords: Mapping[str, Any]) -> Optional[_T]:
+    """The message `base` with the fields that the keywords name. TypeError for a name
+    that it does not have, ValueError for a word that an enum does not have."""
+    if not keywords:
+        return base
+    fields = kind.DESCRIPTOR.fields_by_name
+    values: dict[str, Any] = {}
+    for name, value in keywords.items():
+        if name not in fields:
+            near = difflib.get_close_matches(name, fields, 1)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            raise TypeError(f"there is no setting {name}{hint}")
+        if fields[name].enum_type is not None:
+            value = _number_of(fields[name].enum_type, name, value)
+        # None is no value: it leaves the field out.
+        values[name] = value
+    made = kind()
+    if base is not None:
+        made.CopyFrom(base)
+        for name in keywords:
+            made.ClearField(name)
+    made.MergeFrom(kind(**values))
+    return made

@@ -1,0 +1,237 @@
+"""Calls of revisit.v1.PoseGraphService, for asyncio."""
+
+from __future__ import annotations
+
+import asyncio
+import weakref
+from collections.abc import AsyncIterator, Iterable, Mapping
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Optional, TypeVar, Union
+
+import grpc
+from numpy.typing import ArrayLike
+
+from revisit import _calls, client, maps, v1
+from revisit._calls import Call, Pages, vehicle_name
+from revisit._retries import CallOptions
+from revisit._stream_state import StreamState, log_warnings
+from revisit.aio._channels import AioChannels
+from revisit.aio.pose_stream import PoseStream, document
+from revisit.arrays import Poses, PosesLike
+from revisit.backoff import BackoffOptions
+from revisit.channel import Caller, ChannelOptions, PathLike, stub_of
+from revisit.errors import Cancelled, from_rpc_error
+from revisit.stream_options import ProgressBar, StreamCallbacks, StreamOptions
+from revisit.tables import PoseGraph
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+    from revisit.v1.keywords import CandidateKeywords, SettingsKeywords
+
+_T = TypeVar("_T")
+
+
+def _is_being_cancelled() -> bool:
+    """Whether it is the caller's task that was cancelled. Pythons before 3.11 do not
+    tell."""
+    cancelling = getattr(asyncio.current_task(), "cancelling", None)
+    return cancelling is not None and cancelling() > 0
+
+
+class Client:
+    """One server, for one event loop: a `revisit.Client` whose methods are awaited,
+    and whose lists are iterated with `async for`. Any number of tasks may call at the
+    same time.
+
+        async with revisit.aio.Client("127.0.0.1:50051") as client:
+            await client.create_vehicle("shuttle-7")
+    """
+
+    def __init__(self, address: str, *, tls_authorities: Optional[PathLike] = None,
+                 tls_certificate: Optional[PathLike] = None,
+                 tls_key: Optional[PathLike] = None,
+                 token_file: Optional[PathLike] = None, deadline: float = 30.0,
+                 bulk_deadline: float = 600.0, max_attempts: int = 6,
+                 backoff: BackoffOptions = BackoffOptions()) -> None:
+        """The arguments are those of `revisit.Client`."""
+        self._options = CallOptions(deadline, bulk_deadline, max_attempts, backoff)
+        self._caller = Caller(token_file)
+        self._channels = AioChannels(ChannelOptions(
+            address, tls_authorities, tls_certificate, tls_key, token_file))
+        self._closed = False
+        self._streams: weakref.WeakSet[PoseStream] = weakref.WeakSet()
+
+    async def close(self) -> None:
+        self._closed = True
+        for stream in list(self._streams):
+            await stream.close()
+        await self._channels.aclose()
+
+    async def __aenter__(self) -> Client:
+        return self
+
+    async def __aexit__(self, kind: Optional[type[BaseException]],
+                        error: Optional[BaseException],
+                        trace: Optional[TracebackType]) -> None:
+        await self.close()
+
+    # Any call.
+
+    async def call(self, method: str, request: Any, *,
+                   deadline: Optional[float] = None,
+                   request_id: Optional[str] = None) -> Any:
+        return await self._run(_calls.unary(method, request), deadline, request_id)
+
+    async def _run(self, call: Call[_T], deadline: Optional[float] = None,
+                   request_id: Optional[str] = None) -> _T:
+        """Makes a call until it succeeds or must not be repeated."""
+        attempts = self._options.attempts(self._caller, call, deadline, request_id)
+        while True:
+            arguments = attempts.begin()
+            with self._channels.lease() as lease:
+                try:
+                    handle = call.start(stub_of(lease.channel), arguments)
+                    return call.unpack([part async for part in handle]
+                                       if call.answers_stream else await handle)
+                except grpc.RpcError as raised:
+                    error = from_rpc_error(raised, attempts.request_id or "")
+                except asyncio.CancelledError:
+                    if self._closed and not _is_being_cancelled():
+                        raise Cancelled("the client is closed") from None
+                    raise
+                self._channels.report(lease, error)
+            await asyncio.sleep(attempts.wait_after(error))
+
+    async def _pages(self, pages: Pages[_T]) -> AsyncIterator[_T]:
+        while True:
+            page = await self._run(pages.call())
+            for item in pages.items(page):
+                yield item
+            if not pages.turn(page):
+                return
+
+    # Vehicles.
+
+    async def create_vehicle(self, vehicle_id: str,
+                             settings: Optional[v1.VehicleSettings] = None, *,
+                             display_name: str = "",
+                             labels: Optional[Mapping[str, str]] = None,
+                             **keywords: Unpack[SettingsKeywords]) -> v1.Vehicle:
+        return await self._run(_calls.create_vehicle(
+            vehicle_id, settings, display_name, labels, keywords))
+
+    async def get_vehicle(self, vehicle: str) -> v1.Vehicle:
+        return await self._run(_calls.get_vehicle(vehicle))
+
+    def list_vehicles(self) -> AsyncIterator[v1.Vehicle]:
+        return self._pages(_calls.list_vehicles())
+
+    async def update_vehicle(self, vehicle: str,
+                             settings: Optional[v1.VehicleSettings] = None,
+                             names: Iterable[str] = (), *,
+                             display_name: Optional[str] = None,
+                             labels: Optional[Mapping[str, Optional[str]]] = None,
+                             **keywords: Unpack[SettingsKeywords]) -> v1.Vehicle:
+        return await self._run(_calls.update_vehicle(
+            vehicle, settings, names, display_name, labels, keywords))
+
+    async def delete_vehicle(self, vehicle: str) -> None:
+        await self._run(_calls.delete_vehicle(vehicle))
+
+    async def accept_data_loss(self, vehicle: str, durable_sequence: int) -> v1.Vehicle:
+        return await self._run(_calls.accept_data_loss(vehicle, durable_sequence))
+
+    # Poses.
+
+    def stream_poses(self, vehicle: str, options: StreamOptions = StreamOptions(),
+                     callbacks: StreamCallbacks = StreamCallbacks()) -> PoseStream:
+        """Starts a stream of poses that survives the connection, in the event loop
+        that runs."""
+        stream = PoseStream(self._channels, self._caller, StreamState(
+            vehicle_name(vehicle), options, callbacks))
+        self._streams.add(stream)
+        return stream
+
+    async def append_poses(self, vehicle: str, poses: PosesLike, *,
+                           vehicle_uid: str = "") -> v1.Ack:
+        ack = await self._run(_calls.append_poses(vehicle, poses, vehicle_uid))
+        log_warnings(vehicle_name(vehicle), ack, set())
+        return ack
+
+    def list_poses(self, vehicle: str, first_sequence: int = 1, *,
+                   as_sent: bool = False) -> AsyncIterator[v1.Pose]:
+        return self._pages(_calls.list_poses(vehicle, first_sequence, as_sent))
+
+    async def poses(self, vehicle: str, first_sequence: int = 1, *,
+                    as_sent: bool = False,
+                    progress: Optional[ProgressBar] = None) -> Poses:
+        return Poses.from_messages(
+            [_calls.counted(pose, progress)
+             async for pose in self.list_poses(vehicle, first_sequence,
+                                               as_sent=as_sent)])
+
+    async def revise_poses(self, vehicle: str, poses: PosesLike,
+                           expected_revision: int = 0) -> v1.RevisePosesResponse:
+        return await self._run(_calls.revise_poses(vehicle, poses, expected_revision))
+
+    async def export_pose_graph(self, vehicle: str) -> PoseGraph:
+        return await self._run(_calls.export_pose_graph(vehicle))
+
+    # Files and maps, by the program revisit.
+
+    async def export(self, vehicle: str, path: PathLike, *, format: str = "") -> None:
+        await asyncio.to_thread(maps.export, self._channels.options, vehicle, path,
+                                format)
+
+    async def map(self, vehicle: str, *, format: str = "html",
+                  **flags: Any) -> maps.Map:
+        return await asyncio.to_thread(maps.draw, self._channels.options, vehicle,
+                                       format, flags)
+
+    # Candidates, and what a verifier found of them.
+
+    async def find_candidates(self, vehicle: str, sequence: int = 0,
+                              options: Optional[v1.CandidateOptions] = None,
+                              **keywords: Unpack[CandidateKeywords]
+                              ) -> v1.CandidateSet:
+        return await self._run(_calls.find_candidates(vehicle, sequence, options,
+                                                      keywords))
+
+    async def add_loop_closure(self, vehicle: str,
+                               query: Union[int, v1.Candidate, v1.LoopClosure],
+                               matched: Optional[int] = None, *,
+                               relative: Optional[ArrayLike] = None,
+                               covariance: Optional[ArrayLike] = None,
+                               score: Optional[float] = None, note: str = "",
+                               loop_closure_id: str = "") -> v1.AddLoopClosureResponse:
+        return await self._run(_calls.add_loop_closure(
+            vehicle, query, matched, relative, covariance, score, note,
+            loop_closure_id))
+
+    def list_loop_closures(self, vehicle: str) -> AsyncIterator[v1.LoopClosure]:
+        return self._pages(_calls.list_loop_closures(vehicle))
+
+    async def delete_loop_closure(self, name: str) -> None:
+        await self._run(_calls.delete_loop_closure(name))
+
+    async def reject_candidate(self, vehicle: str,
+                               query: Union[int, v1.Candidate, v1.RejectedCandidate],
+                               matched: Optional[int] = None, *, note: str = "",
+                               rejected_candidate_id: str = ""
+                               ) -> v1.RejectCandidateResponse:
+        return await self._run(_calls.reject_candidate(
+            vehicle, query, matched, note, rejected_candidate_id))
+
+    def list_rejected_candidates(self, vehicle: str
+                                 ) -> AsyncIterator[v1.RejectedCandidate]:
+        return self._pages(_calls.list_rejected_candidates(vehicle))
+
+    async def delete_rejected_candidate(self, name: str) -> None:
+        await self._run(_calls.delete_rejected_candidate(name))
+
+    async def server_info(self) -> v1.GetServerInfoResponse:
+        return await self._run(_calls.server_info())
+
+
+document(Client, client.Client)

@@ -1,0 +1,124 @@
+#include "client/cli/commands/convert_command.h"
+
+#include <filesystem>
+#include <fstream>
+#include <sstream>
+
+#include "gmock/gmock.h"
+#include "google/protobuf/util/delimited_message_util.h"
+#include "nlohmann/json.hpp"
+#include "revisit/v1/pose_graph_service.pb.h"
+
+namespace revisit::client {
+namespace {
+
+using ::testing::HasSubstr;
+using ::testing::StartsWith;
+
+class ConvertCommandTest : public ::testing::Test {
+ protected:
+  ConvertCommandTest() { std::filesystem::create_directories(directory_); }
+  ~ConvertCommandTest() override { std::filesystem::remove_all(directory_); }
+
+  std::string File(const std::string& name, const std::string& text) {
+    const std::string path = directory_ / name;
+    std::ofstream(path) << text;
+    return path;
+  }
+
+  // Poses along x, a metre apart.
+  std::string Straight(const std::string& name, int count) {
+    std::string text = "t,x,y,yaw\n";
+    for (int i = 0; i < count; ++i) {
+      text += std::to_string(i) + "," + std::to_string(i) + ",0,0\n";
+    }
+    return File(name, text);
+  }
+
+  absl::Status Convert(const std::vector<std::string>& files,
+                       ConvertFormat format) {
+    options_.files = files;
+    options_.format = format;
+    options_.reader.columns = "t=t,x=x,y=y,yaw=yaw";
+    return RunConvert(options_, {out_, progress_, false, false});
+  }
+
+  const std::filesystem::path directory_ =
+      std::filesystem::path(::testing::TempDir()) /
+      ::testing::UnitTest::GetInstance()->current_test_info()->name();
+  ConvertOptions options_;
+  std::ostringstream out_;
+  std::ostringstream progress_;
+};
+
+TEST_F(ConvertCommandTest, SequencesGoOnOverTheFiles) {
+  const std::string file = Straight("drive.csv", 12);
+  ASSERT_TRUE(Convert({file, file}, ConvertFormat::kJsonLines).ok());
+  std::istringstream lines(out_.str());
+  std::string line;
+  int sequence = 0;
+  while (std::getline(lines, line)) {
+    EXPECT_EQ(nlohmann::json::parse(line)["sequence"], ++sequence);
+  }
+  EXPECT_EQ(sequence, 24);
+}
+
+TEST_F(ConvertCommandTest, MessagesHoldAThousandPosesEach) {
+  const std::string file = Straight("drive.csv", 2500);
+  ASSERT_TRUE(Convert({file}, ConvertFormat::kMessages).ok());
+  std::istringstream bytes(out_.str());
+  google::protobuf::io::IstreamInputStream input(&bytes);
+  std::vector<int> sizes;
+  v1::PoseBatch batch;
+  bool clean_end = false;
+  while (google::protobuf::util::ParseDelimitedFromZeroCopyStream(
+      &batch, &input, &clean_end)) {
+    sizes.push_back(batch.poses_size());
+    batch.Clear();
+  }
+  EXPECT_TRUE(clean_end);
+  EXPECT_EQ(sizes, (std::vector<int>{1000, 1000, 500}));
+}
+
+TEST_F(ConvertCommandTest, VerticesAreJoinedAndCsvHasItsTitles) {
+  const std::string file = Straight("drive.csv", 3);
+  ASSERT_TRUE(Convert({file}, ConvertFormat::kG2o).ok());
+  EXPECT_THAT(out_.str(), HasSubstr("\nEDGE_SE2 2 3 1 0 0 "));
+  out_.str("");
+  ASSERT_TRUE(Convert({file}, ConvertFormat::kCsv).ok());
+  EXPECT_THAT(out_.str(), StartsWith("sequence,t_s,est_x,"));
+}
+
+TEST_F(ConvertCommandTest, LinesOfTumNeedTimes) {
+  const std::string file = File("drive.g2o",
+                                "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n"
+                                "VERTEX_SE2 2 2 0 0\n");
+  options_.files = {file};
+  options_.format = ConvertFormat::kTum;
+  const absl::Status converted =
+      RunConvert(options_, {out_, progress_, false, false});
+  EXPECT_EQ(ExitCodeOf(converted), kExitLocalError);
+  EXPECT_THAT(std::string(converted.message()), HasSubstr("--rate"));
+}
+
+TEST_F(ConvertCommandTest, ErrorLeavesTheFileThatWasThere) {
+  const std::string bad = File("bad.csv", "t,x,y,yaw\n0,0,0,0\n1,one,0,0\n");
+  options_.output = File("out.csv", "as it was");
+  const absl::Status converted = Convert({bad}, ConvertFormat::kCsv);
+  EXPECT_EQ(ExitCodeOf(converted), kExitLocalError);
+  EXPECT_THAT(std::string(converted.message()), HasSubstr("bad.csv:3"));
+  std::ifstream file(options_.output);
+  std::string text;
+  std::getline(file, text);
+  EXPECT_EQ(text, "as it was");
+}
+
+TEST_F(ConvertCommandTest, VehicleWithAFilterNeedsErrorTransitions) {
+  options_.correlation_model = v1::CORRELATION_MODEL_FILTER;
+  const std::string file = Straight("drive.csv", 12);
+  EXPECT_EQ(ExitCodeOf(Convert({file}, ConvertFormat::kJsonLines)),
+            kExitLocalError);
+}
+
+}  // namespace
+}  // namespace revisit::client
