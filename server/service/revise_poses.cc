@@ -50,11 +50,13 @@ class Revision final : public ReadingCall<Revision> {
   }
 
   void OnMessage() override {
+    const absl::Status parsed = Parse(&request_);
     std::shared_ptr<VehicleSession> session;
     {
       const MutexLock lock(&mutex_);
       if (ended_) return;
-      const absl::Status status = given_up() ? GivenUpStatus() : Admit();
+      absl::Status status = given_up() ? GivenUpStatus() : parsed;
+      if (status.ok()) status = Admit();
       if (!status.ok()) {
         EndLocked(status);
         return;
@@ -114,7 +116,6 @@ class Revision final : public ReadingCall<Revision> {
 
   // Checks vehicle and room before the poses of a message are checked.
   absl::Status Admit() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
-    if (absl::Status status = Parse(&request_); !status.ok()) return status;
     if (absl::Status status = session_ == nullptr ? Open() : CheckSameCall();
         !status.ok()) {
       return status;
