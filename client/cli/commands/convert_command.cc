@@ -101,7 +101,7 @@ class LocalWriter : public PoseWriter {
 
   void WriteLocal(const LocalPose& pose) {
     if (g2o_.has_value()) {
-      g2o_->Add(pose);
+      g2o_->Add(pose, /*as_sent=*/pose);
     } else if (options_.format == ConvertFormat::kTum) {
       WriteTumLine(pose, out_);
     } else if (options_.format == ConvertFormat::kKitti) {
