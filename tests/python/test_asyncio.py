@@ -30,7 +30,7 @@ def in_event_loop(test):
     @functools.wraps(test)
     def run(**fixtures):
         async def body():
-            await asyncio.wait_for(test(**fixtures), LONG)
+            await asyncio.wait_for(test(**fixtures), 5 * LONG)
         asyncio.run(body())
     return run
 
