@@ -16,20 +16,29 @@ constexpr double kGrowthMeters = 20.0;
 
 enum class Growth { kNone, kUnknown, kGrows };
 
-// Whether covariances of dead reckoning could be what the samples state: they
-// grow along the path. Those that a driver writes into every message do not.
+// Whether the samples may state covariances of dead reckoning: these grow along
+// the path, though less on a way back to the start. The covariances that a
+// driver writes into every message stay the same, and those of a receiver go up
+// and down.
 Growth GrowthOf(const std::deque<Sample>& samples) {
   const auto size = [](const Sample& sample) {
     return (*sample.covariance)[0] + (*sample.covariance)[3];
   };
   double length = 0.0;
+  std::size_t decreases = 0;
   for (std::size_t i = 1; i < samples.size(); ++i) {
-    length += std::hypot(samples[i].estimate.x - samples[i - 1].estimate.x,
-                         samples[i].estimate.y - samples[i - 1].estimate.y);
+    const Sample& before = samples[i - 1];
+    const Sample& after = samples[i];
+    length += std::hypot(after.estimate.x - before.estimate.x,
+                         after.estimate.y - before.estimate.y);
+    if (size(after) < size(before)) ++decreases;
   }
   if (length < kGrowthMeters) return Growth::kUnknown;
-  return size(samples.back()) > size(samples.front()) ? Growth::kGrows
-                                                      : Growth::kNone;
+  const double first = size(samples.front());
+  const double last = size(samples.back());
+  const bool grows =
+      last > 2.0 * first || (last > first && 3 * decreases < samples.size());
+  return grows ? Growth::kGrows : Growth::kNone;
 }
 
 bool HaveCovariances(const std::deque<Sample>& samples) {
