@@ -53,9 +53,11 @@ def test_what_is_claimed_of_the_files_covariances_is_logged(caplog):
 def test_positions_without_a_heading_need_to_be_told_of_their_errors(tmp_path):
     path = tmp_path / "positions.csv"
     path.write_text("t,x,y\n" + "".join(f"{n},{2 * n},0\n" for n in range(100)))
+    columns = "t=t,x=x,y=y"
     with pytest.raises(revisit.RecordingError, match="--uncertainty fixes if each"):
-        revisit.read_recording(path)
-    assert len(revisit.read_recording(path, uncertainty="model")) > 90
+        revisit.read_recording(path, columns=columns)
+    assert len(revisit.read_recording(path, columns=columns,
+                                      uncertainty="model")) > 90
 
 
 def test_a_spatial_vehicle_gets_spatial_covariances():

@@ -135,6 +135,7 @@ TEST_F(ConvertCommandTest, PositionsWithoutAHeadingNeedToBeToldOfTheirErrors) {
   std::string text = "t,x,y\n";
   for (int i = 0; i < 50; ++i) text += absl::StrCat(i, ",", 2 * i, ",0\n");
   options_.files = {File("positions.csv", text)};
+  options_.reader.columns = "t=t,x=x,y=y";
   const Terminal terminal{out_, progress_, false, false};
   const absl::Status converted = RunConvert(options_, terminal);
   EXPECT_EQ(ExitCodeOf(converted), kExitLocalError);
