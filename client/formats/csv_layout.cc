@@ -154,7 +154,7 @@ absl::Status FindColumns(const Header& header,
 }
 
 // An error if only a part of these columns is there.
-absl::Status CheckGroup(const CsvLayout& layout,
+absl::Status CheckGroup(const CsvLayout& layout, bool drive,
                         std::initializer_list<std::size_t> keys,
                         const Lines& lines) {
   std::size_t found = 0;
@@ -165,7 +165,7 @@ absl::Status CheckGroup(const CsvLayout& layout,
       continue;
     }
     for (const Name& name : kNames) {
-      if (name.key == key) absent = name.of_drive;
+      if (name.key == key) absent = NameIn(drive, name);
     }
   }
   if (found == 0 || found == keys.size()) return absl::OkStatus();
@@ -175,14 +175,21 @@ absl::Status CheckGroup(const CsvLayout& layout,
 
 // Groups that are there as a whole or not at all. A covariance may be diagonal,
 // and that of a position has no yaw.
-absl::Status CheckGroups(const CsvLayout& layout, const Lines& lines) {
+absl::Status CheckGroups(const CsvLayout& layout, bool drive,
+                         const Lines& lines) {
   const bool heading = layout.Has(kYaw) || layout.Has(kQuaternion);
-  const std::size_t xx = kCovariance, xy = xx + 1, xt = xx + 2, yy = xx + 3,
-                    yt = xx + 4, tt = xx + 5;
-  const std::size_t q = kQuaternion, f = kTransition, sd = kDeviation;
+  constexpr std::size_t q = kQuaternion;
+  constexpr std::size_t f = kTransition;
+  constexpr std::size_t sd = kDeviation;
+  constexpr std::size_t xx = kCovariance;
+  constexpr std::size_t xy = xx + 1;
+  constexpr std::size_t xt = xx + 2;
+  constexpr std::size_t yy = xx + 3;
+  constexpr std::size_t yt = xx + 4;
+  constexpr std::size_t tt = xx + 5;
   absl::Status status;
   const auto check = [&](std::initializer_list<std::size_t> keys) {
-    status.Update(CheckGroup(layout, keys, lines));
+    status.Update(CheckGroup(layout, drive, keys, lines));
   };
   check({kWeek, kTimeOfWeek});
   check({q, q + 1, q + 2, q + 3});
@@ -217,7 +224,7 @@ absl::Status CheckLayout(const CsvLayout& layout, const ReaderOptions& options,
   for (const std::size_t key : {first, first + 1}) {
     if (!layout.Has(key)) return missing(key);
   }
-  if (absl::Status status = CheckGroups(layout, lines); !status.ok()) {
+  if (absl::Status status = CheckGroups(layout, drive, lines); !status.ok()) {
     return status;
   }
   // A column that is missing may be misspelt; --columns says what is meant.

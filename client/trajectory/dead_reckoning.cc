@@ -53,13 +53,6 @@ void Scale(double factor, ClaimedUncertainty* claim) {
 
 }  // namespace
 
-UncertaintyOptions::Source DefaultSource(const std::deque<Sample>& first,
-                                         bool is_filter) {
-  return first.front().heading_variance.has_value() || is_filter
-             ? UncertaintyOptions::Source::kFixes
-             : UncertaintyOptions::Source::kModel;
-}
-
 UncertaintyClaims::UncertaintyClaims(const UncertaintyOptions& options,
                                      std::string name)
     : options_(options), name_(std::move(name)) {

@@ -16,7 +16,6 @@
 #define REVISIT_CLIENT_TRAJECTORY_DEAD_RECKONING_H_
 
 #include <array>
-#include <deque>
 #include <optional>
 #include <string>
 #include <vector>
@@ -55,11 +54,6 @@ struct UncertaintyOptions {
   // says: 0.5 is a filter that is overconfident by two. Positive.
   double claimed_scale = 1.0;
 };
-
-// The source where nobody names one, by the first samples of a recording and
-// whether its vehicle takes error transitions. REQUIRES: a sample.
-UncertaintyOptions::Source DefaultSource(const std::deque<Sample>& first,
-                                         bool is_filter);
 
 struct ClaimedUncertainty {
   // xx, xy, xh, yy, yh, hh.

@@ -394,6 +394,11 @@ def test_covariances_that_grow_are_claimed_and_others_are_not(
     assert (streamed_covariance(stub, "growing", 200)
             == streamed_covariance(stub, "given", 200))
 
+    # As of a receiver: a little up and down, and more at the end by chance.
+    wavering = stream(recording(
+        "wavering.csv", lambda i: 0.01 + 0.001 * (i % 2)), "--vehicle",
+        "wavering", "--create", "--json")
+    assert json.loads(wavering.stdout)["uncertainty"] == "model"
     constant = stream(recording("constant.csv", lambda i: 0.01), "--vehicle",
                       "constant", "--create", "--json")
     assert constant.returncode == 0, constant.stderr

@@ -30,7 +30,7 @@ def in_event_loop(test):
     @functools.wraps(test)
     def run(**fixtures):
         async def body():
-            await asyncio.wait_for(test(**fixtures), LONG)
+            await asyncio.wait_for(test(**fixtures), 5 * LONG)
         asyncio.run(body())
     return run
 
@@ -362,6 +362,46 @@ async def test_what_must_not_be_done_twice_is_not():
             with pytest.raises(revisit.Unavailable):
                 await client.delete_vehicle("a")
     assert fake.calls == 1
+
+
+class Deaf:
+    """A call to a server whose end gRPC misses: it neither answers nor ends, not even
+    if it is cancelled."""
+
+    def __init__(self):
+        self.calls = 0
+        self.cancelled = 0
+
+    def __aiter__(self):
+        return self
+
+    async def __anext__(self):
+        await asyncio.sleep(LONG)
+
+    def cancel(self):
+        self.cancelled += 1
+
+
+@in_event_loop
+async def test_a_call_that_grpc_forgets_is_left_behind(monkeypatch):
+    """The watchdog does not wait for the end of a call that never ends."""
+    monkeypatch.setattr("revisit.aio._engine.CANCEL_SECONDS", 0.1)
+    deaf = Deaf()
+
+    class Stub:
+        def StreamPoses(self, requests, metadata):
+            deaf.calls += 1
+            return deaf
+
+    monkeypatch.setattr("revisit.aio._engine.stub_of", lambda channel: Stub())
+    begun = time.monotonic()
+    async with aio.Client("127.0.0.1:1") as client:
+        stream = client.stream_poses("a", StreamOptions(
+            backoff=QUICK["backoff"], answer_timeout=0.1, give_up_after=1.0))
+        with pytest.raises(revisit.Unavailable, match="no answer for 0.1 s"):
+            await stream.finish()
+        assert deaf.calls == deaf.cancelled > 1
+    assert time.monotonic() - begun < 20
 
 
 @in_event_loop

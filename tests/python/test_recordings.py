@@ -26,7 +26,8 @@ def streamed(server, client, vehicle, *arguments):
 
 @pytest.mark.parametrize("vehicle, path, flags, words", [
     ("drive", BOREAS, {}, []),
-    ("own-covariances", BOREAS, {"uncertainty": "file"}, ["--uncertainty", "file"]),
+    ("modelled", BOREAS, {"uncertainty": "model", "sigma_along": 0.2},
+     ["--uncertainty", "model", "--sigma-along", "0.2"]),
     ("kitti", FORMATS / "uq_kitti.txt", {"axes": "camera", "rate": 10},
      ["--axes", "camera", "--rate", "10"]),
     ("rtklib", FORMATS / "nagoya_spp.pos", {}, []),
@@ -38,6 +39,25 @@ def test_poses_are_those_that_the_program_streams(server, client, vehicle, path,
     assert len(poses) > 40
     assert as_bytes(poses.to_messages()) == streamed(server, client, vehicle, path,
                                                      *words)
+
+
+def test_what_is_claimed_of_the_files_covariances_is_logged(caplog):
+    own = revisit.read_recording(BOREAS)
+    assert "its covariances are claimed (--uncertainty file" in caplog.text
+    caplog.clear()
+    assert as_bytes(own.to_messages()) == as_bytes(
+        revisit.read_recording(BOREAS, uncertainty="file").to_messages())
+    assert caplog.text == ""
+
+
+def test_positions_without_a_heading_need_to_be_told_of_their_errors(tmp_path):
+    path = tmp_path / "positions.csv"
+    path.write_text("t,x,y\n" + "".join(f"{n},{2 * n},0\n" for n in range(100)))
+    columns = "t=t,x=x,y=y"
+    with pytest.raises(revisit.RecordingError, match="--uncertainty fixes if each"):
+        revisit.read_recording(path, columns=columns)
+    assert len(revisit.read_recording(path, columns=columns,
+                                      uncertainty="model")) > 90
 
 
 def test_a_spatial_vehicle_gets_spatial_covariances():

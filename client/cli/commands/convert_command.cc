@@ -12,6 +12,7 @@
 #include "client/cli/commands/shared_flags.h"
 #include "client/formats/text_lines.h"
 #include "client/terminal/output_file.h"
+#include "client/trajectory/claim_choice.h"
 #include "client/trajectory/drive_poses.h"
 #include "client/trajectory/g2o_text.h"
 #include "client/trajectory/local_pose.h"
@@ -175,16 +176,28 @@ class Converter {
 
   absl::Status LetGo() {
     if (held_.empty()) return absl::OkStatus();
-    UncertaintyOptions uncertainty = options_.uncertainty;
-    if (!options_.uncertainty_given) {
-      uncertainty.source = DefaultSource(held_, is_filter());
-    }
-    claims_.emplace(uncertainty, file_);
+    if (absl::Status chosen = ChooseClaims(); !chosen.ok()) return chosen;
     absl::Status written;
     for (; written.ok() && !held_.empty(); held_.pop_front()) {
       written = Write(held_.front());
     }
     return written;
+  }
+
+  absl::Status ChooseClaims() {
+    UncertaintyOptions uncertainty = options_.uncertainty;
+    if (!options_.uncertainty_given) {
+      if (absl::Status known = CheckThatErrorsAreKnown(file_, held_.front(),
+                                                       options_.reader.frame);
+          !known.ok()) {
+        return known;
+      }
+      uncertainty.source = ChooseSource(held_, is_filter());
+      const std::string text = ChoiceText(held_, uncertainty.source);
+      if (!text.empty()) progress_.Note(text);
+    }
+    claims_.emplace(uncertainty, file_);
+    return absl::OkStatus();
   }
 
   absl::Status Write(const Sample& sample) {

@@ -34,7 +34,8 @@ struct ConvertOptions {
   // "-" is the standard input.
   std::vector<std::string> files;
   ReaderOptions reader;
-  // `source` counts only where it was given; see DefaultSource().
+  // `source` counts only where it was given; see
+  // claim_choice.h.
   UncertaintyOptions uncertainty;
   bool uncertainty_given = false;
   // The settings of the vehicle that the poses are for. With FILTER, poses have

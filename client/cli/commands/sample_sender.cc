@@ -1,13 +1,13 @@
 #include "client/cli/commands/sample_sender.h"
 
 #include <algorithm>
-#include <cmath>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "client/answers/names.h"
 #include "client/revisit/client.h"
 #include "client/revisit/printable_text.h"
+#include "client/trajectory/claim_choice.h"
 #include "client/trajectory/drive_poses.h"
 #include "client/trajectory/local_pose.h"
 #include "grpcpp/channel.h"
@@ -46,33 +46,6 @@ PoseStreamOptions MakeStreamOptions(const StreamOptions& options,
 
 std::string SessionKey(const std::string& session) {
   return absl::StrCat("session.", session);
-}
-
-// Path over which covariances of dead reckoning have to grow.
-constexpr double kGrowthMeters = 20.0;
-
-enum class Growth { kNone, kUnknown, kGrows };
-
-// Whether covariances of dead reckoning could be what the samples state: they
-// grow along the path. Those that a driver writes into every message do not.
-Growth GrowthOf(const std::deque<Sample>& samples) {
-  const auto size = [](const Sample& sample) {
-    return (*sample.covariance)[0] + (*sample.covariance)[3];
-  };
-  double length = 0.0;
-  for (std::size_t i = 1; i < samples.size(); ++i) {
-    length += std::hypot(samples[i].estimate.x - samples[i - 1].estimate.x,
-                         samples[i].estimate.y - samples[i - 1].estimate.y);
-  }
-  if (length < kGrowthMeters) return Growth::kUnknown;
-  return size(samples.back()) > size(samples.front()) ? Growth::kGrows
-                                                      : Growth::kNone;
-}
-
-bool HaveCovariances(const std::deque<Sample>& samples) {
-  return std::all_of(samples.begin(), samples.end(), [](const Sample& sample) {
-    return sample.covariance.has_value();
-  });
 }
 
 bool IsFilter(const v1::Vehicle& vehicle) {
@@ -200,22 +173,6 @@ absl::StatusOr<v1::Vehicle> SampleSender::GetOrCreate(const Sample& first) {
   return created->vehicle();
 }
 
-absl::Status SampleSender::CheckThatErrorsAreKnown(const Sample& first) const {
-  // Latitudes and longitudes are a receiver's, and so is what states how good a
-  // position is.
-  if (options_.uncertainty_given || first.geodetic.has_value() ||
-      !first.heading_variance.has_value() || first.covariance.has_value() ||
-      options_.reader.frame == Frame::kLocal) {
-    return absl::OkStatus();
-  }
-  return LocalError(absl::InvalidArgumentError(absl::StrCat(
-      file_,
-      ": has positions without a heading, and does not say what errors they "
-      "have: --uncertainty fixes if each has its own, as a receiver's "
-      "(--fix-sigma M says how large), --uncertainty model if they add up "
-      "along the drive, as those of odometry (--sigma-along and so on)")));
-}
-
 absl::Status SampleSender::CheckThatSamplesFit(const Sample& first) const {
   const v1::VehicleSettings& settings = vehicle_.settings();
   const bool geodetic =
@@ -255,44 +212,6 @@ absl::Status SampleSender::CheckThatSamplesFit(const Sample& first) const {
   return absl::OkStatus();
 }
 
-UncertaintyOptions::Source SampleSender::SourceOfClaims() const {
-  using Source = UncertaintyOptions::Source;
-  if (options_.uncertainty_given) return options_.uncertainty.source;
-  if (held_.front().heading_variance.has_value() || IsFilter(vehicle_)) {
-    return Source::kFixes;
-  }
-  return HaveCovariances(held_) && GrowthOf(held_) == Growth::kGrows
-             ? Source::kFile
-             : Source::kModel;
-}
-
-void SampleSender::NoteUncertainty() const {
-  if (options_.uncertainty_given || !HaveCovariances(held_) ||
-      source_ == UncertaintyOptions::Source::kFixes) {
-    return;
-  }
-  terminal_.progress << Printable(file_);
-  switch (GrowthOf(held_)) {
-    case Growth::kGrows:
-      terminal_.progress
-          << ": its covariances are claimed (--uncertainty file; "
-             "model claims those of --sigma-along and so on)\n";
-      return;
-    case Growth::kNone:
-      terminal_.progress
-          << ": its covariances do not grow along the drive, as errors of dead "
-             "reckoning do, and are not claimed; --uncertainty file claims "
-             "them, fixes if each pose has errors of its own\n";
-      return;
-    case Growth::kUnknown:
-      terminal_.progress
-          << ": has covariances, of which the first poses do not show whether "
-             "they grow along the drive; they are not claimed without "
-             "--uncertainty file\n";
-      return;
-  }
-}
-
 std::string SampleSender::uncertainty() const {
   switch (source_) {
     case UncertaintyOptions::Source::kModel:
@@ -306,8 +225,14 @@ std::string SampleSender::uncertainty() const {
 }
 
 void SampleSender::ChooseUncertainty() {
-  source_ = SourceOfClaims();
-  NoteUncertainty();
+  source_ = options_.uncertainty.source;
+  if (!options_.uncertainty_given) {
+    source_ = ChooseSource(held_, IsFilter(vehicle_));
+    const std::string text = ChoiceText(held_, source_);
+    if (!text.empty()) {
+      terminal_.progress << Printable(file_) << ": " << text << '\n';
+    }
+  }
   UncertaintyOptions uncertainty = options_.uncertainty;
   uncertainty.source = source_;
   claims_.emplace(uncertainty, file_);
@@ -369,8 +294,10 @@ absl::Status SampleSender::ContinueClaims() {
 
 absl::Status SampleSender::Open() {
   const Sample& first = held_.front();
-  if (absl::Status status = CheckThatErrorsAreKnown(first); !status.ok()) {
-    return status;
+  if (!options_.uncertainty_given) {
+    const absl::Status known =
+        CheckThatErrorsAreKnown(file_, first, options_.reader.frame);
+    if (!known.ok()) return LocalError(known);
   }
   auto vehicle = GetOrCreate(first);
   if (!vehicle.ok()) return vehicle.status();

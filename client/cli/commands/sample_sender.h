@@ -70,14 +70,8 @@ class SampleSender {
   // Adds to a fault of this machine what is durable.
   absl::Status WithDurableCount(const absl::Status& error) const;
   absl::StatusOr<v1::Vehicle> GetOrCreate(const Sample& first);
-  // INVALID_ARGUMENT if nobody has said what kind of errors positions without a
-  // heading have.
-  absl::Status CheckThatErrorsAreKnown(const Sample& first) const;
   absl::Status CheckThatSamplesFit(const Sample& first) const;
-  UncertaintyOptions::Source SourceOfClaims() const;
   void ChooseUncertainty();
-  // Tells which covariances are claimed, where the file has some.
-  void NoteUncertainty() const;
   absl::Status ContinueClaims();
   // FAILED_PRECONDITION if other poses have the session's name.
   absl::Status CheckThatSessionIsFree() const;

@@ -200,34 +200,24 @@ absl::Status CheckThatFilesAreThere(const std::vector<std::string>& files) {
   return absl::OkStatus();
 }
 
-// Sends a file to its end. False, with `ended` set, if the stream is over.
-bool SendFile(const std::string& file, const ReaderOptions& options,
-              SampleSender* sender, StreamSummary* summary,
-              absl::Status* ended) {
+// Sends a file to its end. An error is how the stream has ended before that.
+absl::Status SendFile(const std::string& file, const ReaderOptions& options,
+                      SampleSender* sender, StreamSummary* summary) {
   sender->BeginFile(file);
   summary->drive.BeginFile();
   const auto reader = OpenSamples(file, options);
-  if (!reader.ok()) {
-    *ended = sender->FinishAfter(reader.status());
-    return false;
-  }
+  if (!reader.ok()) return sender->FinishAfter(reader.status());
   for (;;) {
     const auto sample = (*reader)->Next();
-    if (!sample.ok()) {
-      *ended = sender->FinishAfter(sample.status());
-      return false;
-    }
+    if (!sample.ok()) return sender->FinishAfter(sample.status());
     if (!sample->has_value()) break;
     summary->drive.Add(**sample);
-    if (!sender->Take(**sample).ok()) {
-      *ended = sender->Finish();
-      return false;
-    }
+    if (!sender->Take(**sample).ok()) return sender->Finish();
   }
   const LeftOut left_out = (*reader)->left_out();
   summary->left_out.standing += left_out.standing;
   summary->left_out.wrong_checksums += left_out.wrong_checksums;
-  return true;
+  return absl::OkStatus();
 }
 
 // Adds what the sender and the answers know in the end.
@@ -300,11 +290,9 @@ absl::Status RunStream(const std::shared_ptr<grpc::Channel>& channel,
     return there;
   }
   StreamSummary summary;
-  absl::Status ended;
   for (const std::string& file : options.files) {
-    if (!SendFile(file, reader_options, &sender, &summary, &ended)) {
-      return ended;
-    }
+    const absl::Status sent = SendFile(file, reader_options, &sender, &summary);
+    if (!sent.ok()) return sent;
   }
   if (sender.taken() == 0) {
     return LocalError(absl::InvalidArgumentError(

@@ -25,6 +25,7 @@ _log = logging.getLogger("revisit")
 
 _USAGE = 64
 _LOCAL = 1
+_PROGRESS = re.compile(r" \w+  \d+/s( |$)")
 _SERVERS_WORDS = re.compile(r"(?:revisit: )?([A-Z_]+)(?: \((\w+)\))?: (.*)", re.DOTALL)
 
 
@@ -86,9 +87,10 @@ def server_flags(options: ChannelOptions) -> list[str]:
 
 
 @contextlib.contextmanager
-def running(arguments: Sequence[str]) -> Iterator[IO[bytes]]:
-    """The standard output of the program. Ends the program where the block is left
-    early. Raises what it reports: ValueError for a wrong flag, FileNotFoundError,
+def running(arguments: Sequence[str],
+            level: int = logging.INFO) -> Iterator[IO[bytes]]:
+    """The standard output of the program, whose notes are logged with this level. Ends
+    the program where the block is left early. Raises what it reports: ValueError for a wrong flag, FileNotFoundError,
     PermissionError or RecordingError for a file, `Error` for what a server
     answered."""
     # The arguments alone say which server is asked, and who asks.
@@ -111,8 +113,8 @@ def running(arguments: Sequence[str]) -> Iterator[IO[bytes]]:
         if code != 0:
             _fail(code, text)
         for line in text.splitlines():
-            _log.log(logging.WARNING if "warning: " in line else logging.INFO, "%s",
-                     line)
+            is_progress = _PROGRESS.search(line) is not None
+            _log.log(logging.DEBUG if is_progress else level, "%s", line)
 
 
 def run(arguments: Sequence[str]) -> bytes:

@@ -9,6 +9,7 @@ and the message says which flag mends it.
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Iterator, Sequence
 from typing import IO, Any, Optional, Union
@@ -31,7 +32,8 @@ def read_recording(path: Union[PathLike, Sequence[PathLike]], *,
                    progress: Optional[ProgressBar] = None, **flags: Any) -> Poses:
     """The poses of a recording, or of several one after the other, as `revisit stream`
     would send them: with sequences from 1, and with the uncertainty that the flags
-    name or, without any, that of dead reckoning or of fixes by the kind of file.
+    name or, without any, the one that the program chooses by the file; where the file
+    has covariances, a logged line says what became of them.
 
     `flags` are those of `revisit convert`: `format`, `columns` (a mapping, or text such
     as "t=time,x=east,y=north,yaw=psi"), `times`, `rate`, `time_unit`, `axes`, `angles`,
@@ -70,8 +72,9 @@ def _batches(path: Union[PathLike, Sequence[PathLike]],
     # A name that begins with a dash would be a flag.
     files = [os.path.join(os.curdir, name) if name.startswith("-") else name
              for name in names]
-    with running(["convert", *files, "--json", "--to", "messages",
-                  *flags_of(flags)]) as output:
+    # A note says what is claimed of a file where no flag does.
+    with running(["convert", *files, "--json", "--to", "messages", *flags_of(flags)],
+                 level=logging.WARNING) as output:
         while (size := _size(output)) is not None:
             serialised = output.read(size)
             if len(serialised) < size:

@@ -159,6 +159,8 @@ TEST(CsvReaderTest, HeadersOfTheShortNamesNeedNoFlags) {
   }
   EXPECT_THAT(MessageOf(ReadText("t,x,y\n5,7,8\n")),
               HasSubstr("a.txt:1: expected a column yaw, got \"t\""));
+  EXPECT_THAT(MessageOf(ReadText("t,x,y,qx,qy,qz\n5,7,8,0,0,0\n")),
+              HasSubstr("a.txt:1: expected a column qw, since others"));
   // Short names beside those of a drive mean something else.
   const auto drive = ReadText("t_s,est_x,est_y,est_yaw,x,y\n5,7,8,0.1,1,2\n");
   ASSERT_TRUE(drive.ok()) << drive.status();

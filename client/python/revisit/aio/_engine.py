@@ -49,9 +49,11 @@ class Engine:
     async def join(self) -> None:
         """Waits until no callback runs, unless a callback asks for it."""
         here = asyncio.current_task()
-        tasks = {task for task in (self._task, self._reader) if task is not None}
-        if here not in tasks and tasks:
-            await asyncio.wait(tasks)
+        for task in (self._task, self._reader):
+            if task is not None and here not in (self._task, self._reader):
+                # The reader ends with its call; only one that gRPC forgets stays.
+                await asyncio.wait({task}, timeout=None if task is self._task
+                                   else CANCEL_SECONDS)
 
     async def _run(self) -> None:
         error: Optional[BaseException] = None
@@ -128,6 +130,8 @@ class Engine:
                 await self.changed.wait(left)
             else:
                 # gRPC did not even end the call that was cancelled.
+                assert self._reader is not None
+                self._reader.cancel()
                 return
 
     async def _requests(self, connection: Connection

@@ -4,6 +4,7 @@
 #include <fstream>
 #include <sstream>
 
+#include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
 #include "google/protobuf/util/delimited_message_util.h"
 #include "nlohmann/json.hpp"
@@ -111,6 +112,35 @@ TEST_F(ConvertCommandTest, ErrorLeavesTheFileThatWasThere) {
   std::string text;
   std::getline(file, text);
   EXPECT_EQ(text, "as it was");
+}
+
+TEST_F(ConvertCommandTest, NoteSaysWhatIsClaimedUnlessAFlagDoes) {
+  std::string text = "t,x,y,yaw,pxx,pxy,pxt,pyy,pyt,ptt\n";
+  for (int i = 0; i < 50; ++i) {
+    text += absl::StrCat(i, ",", i, ",0,0,", 0.01 * i, ",0,0,", 0.01 * i,
+                         ",0,0.001\n");
+  }
+  options_.files = {File("drive.csv", text)};
+  options_.format = ConvertFormat::kJsonLines;
+  const Terminal terminal{out_, progress_, false, false};
+  ASSERT_TRUE(RunConvert(options_, terminal).ok());
+  EXPECT_THAT(progress_.str(), HasSubstr("drive: its covariances are claimed"));
+  progress_.str("");
+  options_.uncertainty_given = true;
+  ASSERT_TRUE(RunConvert(options_, terminal).ok());
+  EXPECT_EQ(progress_.str().find("claimed"), std::string::npos);
+}
+
+TEST_F(ConvertCommandTest, PositionsWithoutAHeadingNeedToBeToldOfTheirErrors) {
+  std::string text = "t,x,y\n";
+  for (int i = 0; i < 50; ++i) text += absl::StrCat(i, ",", 2 * i, ",0\n");
+  options_.files = {File("positions.csv", text)};
+  options_.reader.columns = "t=t,x=x,y=y";
+  const Terminal terminal{out_, progress_, false, false};
+  const absl::Status converted = RunConvert(options_, terminal);
+  EXPECT_EQ(ExitCodeOf(converted), kExitLocalError);
+  EXPECT_THAT(std::string(converted.message()), HasSubstr("--uncertainty"));
+  EXPECT_EQ(out_.str(), "");
 }
 
 TEST_F(ConvertCommandTest, VehicleWithAFilterNeedsErrorTransitions) {
