@@ -27,8 +27,8 @@ std::string OrderOf(const Item& item) {
 }
 inline std::uint64_t OrderOf(const v1::Pose& pose) { return pose.sequence(); }
 
-// The pages of a list, one after the other. `list(request)` asks for a page, and
-// `items(page)` are what it holds.
+// The pages of a list, one after the other. `list(request)` asks for a page,
+// and `items(page)` are what it holds.
 template <typename Request, typename List, typename Items>
 class PageReader {
  public:
@@ -68,17 +68,14 @@ class PageReader {
   const Page& page() const { return page_; }
 
  private:
-  using Order =
-      std::decay_t<decltype(OrderOf(*std::declval<Items>()(
-                                        std::declval<const Page&>())
-                                         .begin()))>;
+  using Order = std::decay_t<decltype(OrderOf(
+      *std::declval<Items>()(std::declval<const Page&>()).begin()))>;
 
   absl::Status Follow(Order order) {
     if (last_.has_value() && order <= *last_) {
-      return absl::InternalError(
-          absl::StrCat("the server's list does not go on: ",
-                       Printable(absl::StrCat(order)), " comes after ",
-                       Printable(absl::StrCat(*last_))));
+      return absl::InternalError(absl::StrCat(
+          "the server's list does not go on: ", Printable(absl::StrCat(order)),
+          " comes after ", Printable(absl::StrCat(*last_))));
     }
     last_ = std::move(order);
     return absl::OkStatus();

@@ -14,13 +14,14 @@ class PoseReader {
  public:
   PoseReader(const Client& client, const std::string& vehicle,
              v1::PoseView view)
-      : pages_(RequestFor(vehicle, view),
-               [&client](const v1::ListPosesRequest& asked) {
-                 return client.ListPoses(asked);
-               },
-               [](const v1::ListPosesResponse& page) -> const auto& {
-                 return page.poses();
-               }) {}
+      : pages_(
+            RequestFor(vehicle, view),
+            [&client](const v1::ListPosesRequest& asked) {
+              return client.ListPoses(asked);
+            },
+            [](const v1::ListPosesResponse& page) -> const auto& {
+              return page.poses();
+            }) {}
 
   // The next pose, valid until the next call; null after the last one.
   absl::StatusOr<const v1::Pose*> Next() {
@@ -82,10 +83,10 @@ absl::Status VisitBothViews(
     // What was streamed since the last page of the other view is of no use.
     if (*pose == nullptr || *sent == nullptr) return absl::OkStatus();
     if ((*pose)->sequence() != (*sent)->sequence()) {
-      return absl::AbortedError(absl::StrCat(
-          vehicle, ": poses were dropped meanwhile, pose ",
-          std::min((*pose)->sequence(), (*sent)->sequence()),
-          " among them; try again"));
+      return absl::AbortedError(
+          absl::StrCat(vehicle, ": poses were dropped meanwhile, pose ",
+                       std::min((*pose)->sequence(), (*sent)->sequence()),
+                       " among them; try again"));
     }
     if (absl::Status status = visit(**pose, **sent); !status.ok()) {
       return status;

@@ -112,8 +112,7 @@ absl::Status ReadPoses(Storage* storage, const VehicleView& view,
   std::size_t bytes = 0;
   absl::Status parsed;
   const absl::Status read = storage->ReadBatches(
-      view.key, first, last, version,
-      [&](const BatchRecord& batch) {
+      view.key, first, last, version, [&](const BatchRecord& batch) {
         parsed = VisitPoses(batch, [&](const PoseFields& stored) {
           if (stored.sequence < first) return true;
           if (stored.sequence > last || bytes > kMaxPageBytes) return false;

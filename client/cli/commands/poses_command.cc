@@ -96,7 +96,9 @@ void AddPosesCommand(const Command& program) {
   const Command poses =
       program.AddCommand({"poses", "Lists the stored poses.", "", ""});
   const Command list = poses.AddCommand(
-      {"list", "Lists a vehicle's poses, as they were last revised or as they were sent.",
+      {"list",
+       "Lists a vehicle's poses, as they were last revised or as they were "
+       "sent.",
        "--json prints them whole, with covariances and quaternions.",
        "  revisit poses list shuttle-7\n"
        "  revisit poses list shuttle-7 --from 1000 --to 1010 --json"});

@@ -264,15 +264,16 @@ absl::Status RunRevise(const Client& client, const ReviseOptions& options,
                                          : vehicle->revision());
   std::uint64_t stored = 0;
   const absl::Status matched =
-      VisitPoses(client, vehicle->name(), v1::POSE_VIEW_CURRENT, [&](const v1::Pose& pose) {
-        ++stored;
-        const auto found = optimised->Find(pose);
-        if (!found.ok()) return found.status();
-        if (*found != nullptr) {
-          messages.Add(Revised(pose, **found, frame, spatial));
-        }
-        return absl::OkStatus();
-      });
+      VisitPoses(client, vehicle->name(), v1::POSE_VIEW_CURRENT,
+                 [&](const v1::Pose& pose) {
+                   ++stored;
+                   const auto found = optimised->Find(pose);
+                   if (!found.ok()) return found.status();
+                   if (*found != nullptr) {
+                     messages.Add(Revised(pose, **found, frame, spatial));
+                   }
+                   return absl::OkStatus();
+                 });
   if (!matched.ok()) return matched;
   const auto missing = optimised->CountDropped(*vehicle);
   if (!missing.ok()) return missing.status();

@@ -90,9 +90,9 @@ def server_flags(options: ChannelOptions) -> list[str]:
 def running(arguments: Sequence[str],
             level: int = logging.INFO) -> Iterator[IO[bytes]]:
     """The standard output of the program, whose notes are logged with this level. Ends
-    the program where the block is left early. Raises what it reports: ValueError for a wrong flag, FileNotFoundError,
-    PermissionError or RecordingError for a file, `Error` for what a server
-    answered."""
+    the program where the block is left early. Raises what it reports: ValueError for a
+    wrong flag, FileNotFoundError, PermissionError or RecordingError for a file, `Error`
+    for what a server answered."""
     # The arguments alone say which server is asked, and who asks.
     environment = {name: value for name, value in os.environ.items()
                    if not name.startswith("REVISIT_")}
