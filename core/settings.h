@@ -152,7 +152,7 @@ std::vector<SettingProblem> FindProblems(const DriveSettings& settings);
 std::vector<SettingProblem> FindProblems(const SearchOptions& options,
                                          const DriveSettings& vehicle);
 
-// What has to be made anew where settings change, beside the answers of
+// Parts of a drive that are made anew where settings change, beside answers of
 // searches, which may follow any option. A sum of these.
 enum Remade : unsigned {
   kRemadeNothing = 0,
@@ -162,7 +162,7 @@ enum Remade : unsigned {
   kRemadeMotionHistory = 2,
   // The evidence of marks (mark.h).
   kRemadeMarks = 4,
-  // What confirmed loop closures have shown (consistency.h).
+  // The judgement of confirmed loop closures (consistency.h).
   kRemadeConsistency = 8,
   // Which nodes are to be kept (retention.h).
   kRemadeKept = 16,

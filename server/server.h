@@ -49,7 +49,7 @@ class RevisitServer {
   void ReopenAuditLog();
 
   // Whether the server still answers, within `patience` (admin/self_check.h).
-  // Not during Shutdown(), and one call at a time.
+  // REQUIRES: Shutdown() is not under way, and no other call of this is.
   bool Answers(std::chrono::milliseconds patience);
 
   // Has health say NOT_SERVING from now on, while everything else goes on, so

@@ -80,7 +80,8 @@ absl::Status VisitBothViews(
     if (!pose.ok()) return pose.status();
     const absl::StatusOr<const v1::Pose*> sent = as_sent.Next();
     if (!sent.ok()) return sent.status();
-    // What was streamed since the last page of the other view is of no use.
+    // Poses that were streamed after the last page of the other view are left
+    // out.
     if (*pose == nullptr || *sent == nullptr) return absl::OkStatus();
     if ((*pose)->sequence() != (*sent)->sequence()) {
       return absl::AbortedError(

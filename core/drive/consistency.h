@@ -6,7 +6,7 @@
 
 namespace revisit::core {
 
-// What confirmed loop closures have shown of the claimed covariances
+// How confirmed loop closures have judged the claimed covariances
 // (consistency_monitor.h).
 struct Consistency {
   // Loop closures whose difference has a well-conditioned covariance.

@@ -1,4 +1,4 @@
-// What a drive tells of the poses that were appended to it.
+// The answers of a drive to the poses that were appended to it.
 #ifndef REVISIT_CORE_DRIVE_FINDINGS_H_
 #define REVISIT_CORE_DRIVE_FINDINGS_H_
 

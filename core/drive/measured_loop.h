@@ -1,4 +1,4 @@
-// What a verifier measured between the two poses of a loop closure.
+// A verifier's measurement between the two poses of a loop closure.
 #ifndef REVISIT_CORE_DRIVE_MEASURED_LOOP_H_
 #define REVISIT_CORE_DRIVE_MEASURED_LOOP_H_
 

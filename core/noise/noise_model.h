@@ -1,4 +1,4 @@
-// What is known of the errors of a vehicle's poses: one row per noise model.
+// The noise models, one row each: what is known of the errors of poses.
 //
 // A row says how the errors of two poses are correlated, what a pose has to
 // bring, and what searches may take for granted; whoever needs to know asks the
@@ -37,7 +37,7 @@ enum class DifferenceForm {
   kOfPath,
 };
 
-// What the claimed covariances do along a stretch of road if the model holds
+// How the claimed covariances go along a stretch of road if the model holds
 // (model_check.h).
 enum class ClaimedGrowth { kAny, kGrows, kDoesNotGrow };
 

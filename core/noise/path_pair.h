@@ -33,7 +33,7 @@ struct PathPair {
 // the later one: x forward, y left, z up. Both are covariances.
 template <int D>
 struct StepNoise {
-  // What the step adds to the error of all that follows.
+  // The noise that the step adds to the error of all that follows.
   StateMatrix<D> drift = StateMatrix<D>::Zero();
   // The error of each pose that is independent of the others'.
   StateMatrix<D> jitter = StateMatrix<D>::Zero();

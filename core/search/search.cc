@@ -100,7 +100,7 @@ class Search::Impl {
                                       const SearchOptions& options,
                                       const ShouldStop& should_stop);
   MarksBefore FindMarksBefore(NodeIndex query) const;
-  // What the drive has shown before the query. Searches the marks that are not
+  // Says what the drive has shown before the query. Searches marks that are not
   // known. Returns CANCELLED if told to stop.
   absl::StatusOr<DriveBelief> BeliefAt(NodeIndex query,
                                        const ShouldStop& should_stop);

@@ -42,7 +42,7 @@ prometheus::ClientMetric Translated(const MetricFamily::Sample& sample) {
   for (const auto& [name, value] : sample.labels) {
     metric.label.push_back({name, value});
   }
-  // What is not of the family's type is not shown.
+  // A value that is not of the family's type is not shown.
   metric.counter.value = sample.value;
   metric.gauge.value = sample.value;
   metric.histogram = Cumulated(sample.histogram);

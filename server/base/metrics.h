@@ -1,4 +1,4 @@
-// What the server counts, as of one moment. Each class that counts says what it
+// The server's counts, as of one moment. Each class that counts says what it
 // counts, in a function CollectMetrics(): its name, help and kind. Who shows
 // them (server/admin/metrics_page.h) knows none of the names.
 //
@@ -28,9 +28,9 @@ class MetricFamily {
   using Labels = std::vector<std::pair<std::string, std::string>>;
   struct Sample {
     Labels labels;
-    // Of a counter or a gauge.
+    // The value of a counter or a gauge.
     double value = 0.0;
-    // Of a histogram.
+    // The value of a histogram.
     HistogramCounts histogram;
   };
 

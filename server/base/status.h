@@ -64,7 +64,7 @@ absl::Status VehicleNotFound(const std::string& id);
 absl::Status Corrupt(const std::string& what,
                      const ErrorMetadata& metadata = {});
 
-// What ended a call before it had its answer: CANCELLED and DEADLINE_EXCEEDED,
+// Ends of calls that had no answer yet: CANCELLED and DEADLINE_EXCEEDED,
 // with the reasons of the same names.
 absl::Status CallerGaveUp();
 absl::Status DeadlinePassed();

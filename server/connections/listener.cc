@@ -122,7 +122,7 @@ MeterBounds MeterBoundsOf(const Limits& limits) {
                                                    limits.max_metadata_bytes);
   bounds.max_held_calls =
       static_cast<std::uint64_t>(limits.max_concurrent_streams) + kCallsToClear;
-  // Those that were reset are among them.
+  // Calls that were reset are among them.
   bounds.max_unadmitted_calls = static_cast<std::uint64_t>(
       std::max<std::int64_t>(limits.max_concurrent_streams, kCallsToClear));
   bounds.max_unadmitted_memory = kUnadmittedMemory;

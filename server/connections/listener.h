@@ -24,7 +24,7 @@ namespace revisit::server {
 
 class Metrics;
 
-// What one connection may hold and do (connection_meter.h).
+// Bounds of one connection: what it may hold and do (connection_meter.h).
 MeterBounds MeterBoundsOf(const Limits& limits);
 
 // Order of life: Listen(), Start(), Accept(), StopAccepting(), End().

@@ -26,7 +26,7 @@ namespace revisit::server {
 class Call {
  public:
   // Takes the request id from the metadata or makes one, and sends it back.
-  // What the service refers to must outlive this.
+  // All that the service refers to must outlive this.
   Call(grpc::CallbackServerContext* context, const char* method,
        const ServiceContext& service);
 

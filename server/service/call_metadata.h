@@ -1,4 +1,4 @@
-// What gRPC knows of a call beside its messages.
+// Metadata of a call: what gRPC knows of it beside its messages.
 #ifndef REVISIT_SERVER_SERVICE_CALL_METADATA_H_
 #define REVISIT_SERVER_SERVICE_CALL_METADATA_H_
 

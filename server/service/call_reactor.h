@@ -31,7 +31,7 @@ class CallReactor : public Reactor,
                     public Call,
                     public std::enable_shared_from_this<Self> {
  public:
-  // What the service refers to must outlive this.
+  // All that the service refers to must outlive this.
   CallReactor(grpc::CallbackServerContext* context, const char* method,
               const ServiceContext& service)
       : Call(context, method, service),
@@ -124,7 +124,7 @@ class CallReactor : public Reactor,
   virtual void OnEnd(const absl::Status& /*status*/)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {}
 
-  // Not to be used after OnDone().
+  // Must not be used after OnDone().
   grpc::CallbackServerContext* const grpc_context_;
 
   Mutex mutex_;

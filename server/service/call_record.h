@@ -1,4 +1,4 @@
-// What the counts, the log and the log of changes say of one call.
+// The record of one call: what counts, log and log of changes say of it.
 #ifndef REVISIT_SERVER_SERVICE_CALL_RECORD_H_
 #define REVISIT_SERVER_SERVICE_CALL_RECORD_H_
 

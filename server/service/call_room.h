@@ -15,7 +15,7 @@
 
 namespace revisit::server {
 
-// What is taken by Take...() is held until GiveBack(); what Admit...() returns,
+// Room that Take...() takes is held until GiveBack(); what Admit...() returns,
 // by whoever has the permit. Refusals are those of Admission. Thread-safe.
 class CallRoom {
  public:

@@ -1,4 +1,4 @@
-// What a revision changes, made of the poses in its draft and of what is
+// The plan of a revision, made of the poses in its draft and of what is
 // stored.
 #ifndef REVISIT_SERVER_SERVICE_REVISION_PLAN_H_
 #define REVISIT_SERVER_SERVICE_REVISION_PLAN_H_

@@ -1,4 +1,4 @@
-// What one call may search: its room among searches, and its caller's budget of
+// How much one call may search: its room among searches, its caller's budget of
 // steps.
 #ifndef REVISIT_SERVER_SERVICE_SEARCH_ALLOWANCE_H_
 #define REVISIT_SERVER_SERVICE_SEARCH_ALLOWANCE_H_

@@ -1,4 +1,4 @@
-// What is done to the vehicles of a server from time to time, whoever calls.
+// Does what the vehicles of a server need from time to time, whoever calls.
 #ifndef REVISIT_SERVER_SESSIONS_UPKEEP_H_
 #define REVISIT_SERVER_SESSIONS_UPKEEP_H_
 

@@ -46,7 +46,7 @@ class VehicleCensus {
   // show once all rows were read again.
   std::optional<Counts> Read() const;
 
-  // Those of Read(), if there are.
+  // Tells the counts of Read(), if there are any.
   void CollectMetrics(Metrics* metrics) const;
 
   // A vehicle was created; was loaded, or has another state; was deleted.

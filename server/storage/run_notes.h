@@ -1,4 +1,4 @@
-// What the servers of a store in a file leave beside it for the next one, and
+// Notes that servers of a store in a file leave beside it for the next one, and
 // what operators see of that.
 #ifndef REVISIT_SERVER_STORAGE_RUN_NOTES_H_
 #define REVISIT_SERVER_STORAGE_RUN_NOTES_H_

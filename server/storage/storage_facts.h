@@ -1,4 +1,4 @@
-// What a storage says of itself (storage.h) that callers are told.
+// Facts that a storage (storage.h) tells of itself, for callers.
 #ifndef REVISIT_SERVER_STORAGE_STORAGE_FACTS_H_
 #define REVISIT_SERVER_STORAGE_STORAGE_FACTS_H_
 
@@ -25,7 +25,7 @@ struct Durability {
 // A server that shares a storage with others.
 struct StorageUser {
   std::string address;
-  // As it said last: in PostgreSQL with each beat.
+  // The storage's last word: in PostgreSQL, that of the last beat.
   std::int64_t owned_vehicles = 0;
 };
 

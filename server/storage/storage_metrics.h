@@ -1,4 +1,4 @@
-// What a storage counts, whatever engine it is.
+// The counts of a storage, whatever engine it is.
 #ifndef REVISIT_SERVER_STORAGE_STORAGE_METRICS_H_
 #define REVISIT_SERVER_STORAGE_STORAGE_METRICS_H_
 

@@ -1,4 +1,4 @@
-// What this process is and takes, for whoever looks on from outside.
+// Tells whoever looks on what this process is, and what it takes.
 #ifndef REVISIT_SERVER_TELEMETRY_PROCESS_METRICS_H_
 #define REVISIT_SERVER_TELEMETRY_PROCESS_METRICS_H_
 

@@ -41,7 +41,7 @@ enum class ExportFormat {
 struct ExportOptions {
   std::string vehicle;
   ExportFormat format = ExportFormat::kJsonLines;
-  // Of kTum, kKitti and kCsv; a kG2o has both.
+  // The view that kTum, kKitti and kCsv have; a kG2o has both.
   v1::PoseView view = v1::POSE_VIEW_CURRENT;
   // The export goes to the terminal if this is empty.
   std::string output;

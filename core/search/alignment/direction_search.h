@@ -50,7 +50,7 @@ class DirectionSearch {
   NodeBatch<D> batch_;
   EndSampler<D> sampler_;
   EndFinder<D> finder_;
-  // What is known of the nodes of the batch.
+  // Says which nodes of the batch are sought.
   NodesSought nodes_;
   // Scratch: the nodes to be gathered.
   std::vector<NodeIndex> gathered_;

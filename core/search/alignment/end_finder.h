@@ -17,9 +17,9 @@
 
 namespace revisit::core {
 
-// What is known of the nodes of a batch before they are looked at.
+// Tells what is known of the nodes of a batch before they are looked at.
 struct NodesSought {
-  // Those that may be ends.
+  // The nodes that may be ends.
   BlockNodes sought;
   // The most that the log-likelihood ratio of a path from each can come to.
   BlockColumn gains;

@@ -47,7 +47,7 @@ class FoundEnds {
   // scales.
   std::vector<double>* odds_by_scale() { return &odds_by_scale_; }
 
-  // What was found, except for what has lower log-odds.
+  // The ends that were found, except for those of lower log-odds.
   MatchedEnds HandOver(double least);
 
  private:

@@ -1,4 +1,4 @@
-// What a search asks: whether the vehicle, at the end of this path, is where it
+// A search asks whether the vehicle, at the end of this path, is where it
 // has been before, and where that is.
 #ifndef REVISIT_CORE_SEARCH_ALIGNMENT_QUERY_H_
 #define REVISIT_CORE_SEARCH_ALIGNMENT_QUERY_H_

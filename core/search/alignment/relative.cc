@@ -104,7 +104,7 @@ class Aligner {
     });
   }
 
-  // What was found in each direction.
+  // The ends that were found in each direction.
   std::array<MatchedEnds, 2> HandOver() {
     const double least = inputs_.model.least_log_share + progress_.greatest();
     std::array<MatchedEnds, 2> found;

@@ -77,7 +77,7 @@ class RelativeAlignment {
   // Walks the best path back from an end once more.
   using Trace = std::function<std::vector<PathStep>(Direction, NodeIndex)>;
 
-  // What was found, by IndexOf(direction).
+  // The ends that were found, by IndexOf(direction).
   RelativeAlignment(std::array<MatchedEnds, 2> found, NodeIndex considered,
                     Trace trace)
       : found_(std::move(found)),

@@ -1,4 +1,4 @@
-// What the searches of an alignment in either direction have in common.
+// The inputs that both directions of an alignment's search have in common.
 #ifndef REVISIT_CORE_SEARCH_ALIGNMENT_SEARCH_INPUTS_H_
 #define REVISIT_CORE_SEARCH_ALIGNMENT_SEARCH_INPUTS_H_
 
@@ -18,12 +18,12 @@ struct SearchInputs {
   const Query& query;
   const History& history;
   const RelativeModel& model;
-  // Those of the query.
+  // The poses of the query's path.
   const RecentPath<D>& recent;
   const SearchBounds<D>& bounds;
   // Null where ends are not sampled.
   const HeadingMatch* headings;
-  // That of the history, filled in on the way.
+  // The poses of the history, filled in on the way.
   PoseTable* table;
 };
 

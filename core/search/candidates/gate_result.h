@@ -1,4 +1,4 @@
-// What the chi-square gate says (gate.h).
+// The answer of the chi-square gate (gate.h).
 #ifndef REVISIT_CORE_SEARCH_CANDIDATES_GATE_RESULT_H_
 #define REVISIT_CORE_SEARCH_CANDIDATES_GATE_RESULT_H_
 

@@ -23,7 +23,7 @@
 
 namespace revisit::core {
 
-// What is held for true before a search.
+// The knowledge with which a search begins.
 struct SearchPrior {
   // The model that the options ask for, inflated. Its direction is ignored.
   SimilarityModel similarity;

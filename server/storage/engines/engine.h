@@ -34,7 +34,7 @@ struct OpenedStore {
 
 // A store as a task comes to it.
 struct StoreAccess {
-  // As in ServerSettings.
+  // The same as in ServerSettings.
   std::string store;
   // How long a store that cannot be opened at the moment is awaited, where that
   // may pass by itself. The time begins anew with each call.

@@ -1,4 +1,4 @@
-// What the engines have in common when they open a store to serve it.
+// Options that all engines take when they open a store to serve it.
 #ifndef REVISIT_SERVER_STORAGE_ENGINES_OPEN_OPTIONS_H_
 #define REVISIT_SERVER_STORAGE_ENGINES_OPEN_OPTIONS_H_
 

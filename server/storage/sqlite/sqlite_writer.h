@@ -105,8 +105,8 @@ class SqliteWriter {
   // Which writes get a savepoint, to which the transaction goes back if they
   // are refused: all, or all but appended rows.
   enum class Savepoints { kForAll, kForChanges };
-  // As ApplyAll(); nothing if a row without a savepoint may have left half of
-  // itself in the transaction.
+  // Same as ApplyAll(); nothing if a row without a savepoint may have left half
+  // of itself in the transaction.
   absl::StatusOr<std::optional<Results>> Apply(
       const std::vector<PendingWrite>& group, const absl::Status& room,
       Savepoints savepoints);
