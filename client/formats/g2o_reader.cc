@@ -314,7 +314,8 @@ class G2oReader : public SampleReader {
 
 }  // namespace
 
-std::unique_ptr<SampleReader> ReadG2o(std::unique_ptr<Lines> lines) {
+absl::StatusOr<std::unique_ptr<SampleReader>> ReadG2o(
+    std::unique_ptr<Lines> lines, const ReaderOptions& /*options*/) {
   return std::make_unique<G2oReader>(std::move(lines));
 }
 

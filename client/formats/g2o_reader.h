@@ -10,12 +10,14 @@
 
 #include <memory>
 
+#include "absl/status/statusor.h"
 #include "client/formats/reader.h"
 #include "client/formats/text_lines.h"
 
 namespace revisit::client {
 
-std::unique_ptr<SampleReader> ReadG2o(std::unique_ptr<Lines> lines);
+absl::StatusOr<std::unique_ptr<SampleReader>> ReadG2o(
+    std::unique_ptr<Lines> lines, const ReaderOptions& options);
 
 }  // namespace revisit::client
 

@@ -5,6 +5,7 @@
 
 #include <memory>
 
+#include "absl/status/statusor.h"
 #include "client/formats/reader.h"
 #include "client/formats/text_lines.h"
 
@@ -18,7 +19,8 @@ namespace revisit::client {
 // roots of covariances. Times are a date and a
 // time of day, or GPS week and seconds of the week; GPS time is counted as if
 // it were UTC: since 1970-01-01 00:00 of the GPS calendar.
-std::unique_ptr<SampleReader> ReadRtklib(std::unique_ptr<Lines> lines);
+absl::StatusOr<std::unique_ptr<SampleReader>> ReadRtklib(
+    std::unique_ptr<Lines> lines, const ReaderOptions& options);
 
 // GGA and RMC sentences of NMEA 0183, of any talker. Both of one epoch are one
 // sample. Sentences without a fix and other sentences are passed over. So are
@@ -26,10 +28,12 @@ std::unique_ptr<SampleReader> ReadRtklib(std::unique_ptr<Lines> lines);
 // more than the others. Before the first RMC, which has the date, times count
 // from midnight. Heights are above the ellipsoid where GGA has the separation
 // of the geoid.
-std::unique_ptr<SampleReader> ReadNmea(std::unique_ptr<Lines> lines);
+absl::StatusOr<std::unique_ptr<SampleReader>> ReadNmea(
+    std::unique_ptr<Lines> lines, const ReaderOptions& options);
 
 // Track points (trkpt) of GPX 1.0 and 1.1, all segments one after the other.
-std::unique_ptr<SampleReader> ReadGpx(std::unique_ptr<Lines> lines);
+absl::StatusOr<std::unique_ptr<SampleReader>> ReadGpx(
+    std::unique_ptr<Lines> lines, const ReaderOptions& options);
 
 }  // namespace revisit::client
 

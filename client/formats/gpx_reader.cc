@@ -180,7 +180,8 @@ class GpxReader : public SampleReader {
 
 }  // namespace
 
-std::unique_ptr<SampleReader> ReadGpx(std::unique_ptr<Lines> lines) {
+absl::StatusOr<std::unique_ptr<SampleReader>> ReadGpx(
+    std::unique_ptr<Lines> lines, const ReaderOptions& /*options*/) {
   return std::make_unique<GpxReader>(std::move(lines));
 }
 

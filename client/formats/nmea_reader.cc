@@ -251,7 +251,8 @@ class NmeaReader : public SampleReader {
 
 }  // namespace
 
-std::unique_ptr<SampleReader> ReadNmea(std::unique_ptr<Lines> lines) {
+absl::StatusOr<std::unique_ptr<SampleReader>> ReadNmea(
+    std::unique_ptr<Lines> lines, const ReaderOptions& /*options*/) {
   return std::make_unique<NmeaReader>(std::move(lines));
 }
 

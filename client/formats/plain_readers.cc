@@ -105,12 +105,13 @@ class KittiReader : public SampleReader {
 
 }  // namespace
 
-std::unique_ptr<SampleReader> ReadTum(std::unique_ptr<Lines> lines,
-                                      const ReaderOptions& options) {
+absl::StatusOr<std::unique_ptr<SampleReader>> ReadTum(
+    std::unique_ptr<Lines> lines, const ReaderOptions& options) {
   return std::make_unique<TumReader>(std::move(lines), options.time_unit);
 }
 
-std::unique_ptr<SampleReader> ReadKitti(std::unique_ptr<Lines> lines) {
+absl::StatusOr<std::unique_ptr<SampleReader>> ReadKitti(
+    std::unique_ptr<Lines> lines, const ReaderOptions& /*options*/) {
   return std::make_unique<KittiReader>(std::move(lines));
 }
 

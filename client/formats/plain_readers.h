@@ -11,9 +11,10 @@
 
 namespace revisit::client {
 
-std::unique_ptr<SampleReader> ReadTum(std::unique_ptr<Lines> lines,
-                                      const ReaderOptions& options);
-std::unique_ptr<SampleReader> ReadKitti(std::unique_ptr<Lines> lines);
+absl::StatusOr<std::unique_ptr<SampleReader>> ReadTum(
+    std::unique_ptr<Lines> lines, const ReaderOptions& options);
+absl::StatusOr<std::unique_ptr<SampleReader>> ReadKitti(
+    std::unique_ptr<Lines> lines, const ReaderOptions& options);
 
 // The end of the samples where the lines ended: nothing, or why.
 absl::StatusOr<std::optional<Sample>> EndOf(const Lines& lines);

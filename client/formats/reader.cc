@@ -210,31 +210,42 @@ absl::Status CheckOptions(Format format, const ReaderOptions& options) {
   return absl::OkStatus();
 }
 
+// All that depends on the format, but for its first line: Recognize().
+struct FormatRow {
+  NamedFormat named;
+  absl::StatusOr<std::unique_ptr<SampleReader>> (*read)(
+      std::unique_ptr<Lines> lines, const ReaderOptions& options);
+};
+
+constexpr FormatRow kRows[] = {
+    {{"drive", Format::kDrive}, ReadCsv},
+    {{"tum", Format::kTum}, ReadTum},
+    {{"kitti", Format::kKitti}, ReadKitti},
+    {{"g2o", Format::kG2o}, ReadG2o},
+    {{"rtklib", Format::kRtklib}, ReadRtklib},
+    {{"gpx", Format::kGpx}, ReadGpx},
+    {{"nmea", Format::kNmea}, ReadNmea},
+    {{"ros", Format::kRos}, ReadRosCsv},
+};
+
 absl::StatusOr<std::unique_ptr<SampleReader>> ReadFormat(
     Format format, std::unique_ptr<Lines> lines, const ReaderOptions& options) {
-  switch (format) {
-    case Format::kByContent:
-    case Format::kDrive:
-      return ReadCsv(std::move(lines), options);
-    case Format::kTum:
-      return ReadTum(std::move(lines), options);
-    case Format::kKitti:
-      return ReadKitti(std::move(lines));
-    case Format::kG2o:
-      return ReadG2o(std::move(lines));
-    case Format::kRtklib:
-      return ReadRtklib(std::move(lines));
-    case Format::kGpx:
-      return ReadGpx(std::move(lines));
-    case Format::kNmea:
-      return ReadNmea(std::move(lines));
-    case Format::kRos:
-      return ReadRosCsv(std::move(lines), options);
+  for (const FormatRow& row : kRows) {
+    if (row.named.format == format) return row.read(std::move(lines), options);
   }
   return absl::InternalError("no such format");
 }
 
 }  // namespace
+
+const std::vector<NamedFormat>& Formats() {
+  static const auto* const formats = [] {
+    auto* const named = new std::vector<NamedFormat>;
+    for (const FormatRow& row : kRows) named->push_back(row.named);
+    return named;
+  }();
+  return *formats;
+}
 
 absl::StatusOr<std::unique_ptr<SampleReader>> ReadSamples(
     std::unique_ptr<ByteSource> source, const std::string& path,

@@ -14,6 +14,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "absl/status/statusor.h"
 #include "client/formats/axes.h"
@@ -46,9 +47,8 @@ enum class Format {
   // Found out by the first lines.
   kByContent,
   // Values separated by commas, semicolons, tabs or blanks; the first line
-  // names
-  // the columns, in any order, or `columns` counts them. csv_reader.h has their
-  // names.
+  // names the columns, in any order, or `columns` counts them. csv_reader.h has
+  // their names.
   kDrive,
   // The format of the TUM RGB-D benchmark: lines "t x y z qx qy qz qw",
   // separated by blanks; lines that begin with '#' are comments.
@@ -71,6 +71,15 @@ enum class Format {
   // `ros2 topic echo --csv` or `rostopic echo -p`.
   kRos,
 };
+
+// A format and the word by which users ask for it.
+struct NamedFormat {
+  const char* name;
+  Format format;
+};
+
+// Every format but kByContent.
+const std::vector<NamedFormat>& Formats();
 
 // The kind of positions that samples have in the end.
 enum class Frame {

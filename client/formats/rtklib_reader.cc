@@ -171,7 +171,8 @@ class RtklibReader : public SampleReader {
 
 }  // namespace
 
-std::unique_ptr<SampleReader> ReadRtklib(std::unique_ptr<Lines> lines) {
+absl::StatusOr<std::unique_ptr<SampleReader>> ReadRtklib(
+    std::unique_ptr<Lines> lines, const ReaderOptions& /*options*/) {
   return std::make_unique<RtklibReader>(std::move(lines));
 }
 

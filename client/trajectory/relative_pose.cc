@@ -88,26 +88,41 @@ double UncorrelatedShare(const Matrix4d& a, const Matrix4d& b, double meters,
   return 1.0 - alike * std::exp(-meters / settings.fix_correlation_meters());
 }
 
+// Each model of the API has a case in StepCovariance(): a new one must get its
+// own before this compiles again.
+static_assert(v1::CorrelationModel_MAX ==
+              v1::CORRELATION_MODEL_CORRELATED_FIXES);
+
 // The covariance that the model leaves of the two, in the axes of the local
 // frame.
 Matrix4d StepCovariance(const LocalPose& from, const LocalPose& to,
                         const v1::VehicleSettings& settings) {
-  const v1::CorrelationModel model = settings.correlation_model();
   const Matrix4d lever = LeverBetween(from, to);
   const Matrix4d earlier = ToMatrix(from.covariance);
   const Matrix4d carried = lever * earlier * lever.transpose();
   const Matrix4d later = ToMatrix(to.covariance);
-  if (model == v1::CORRELATION_MODEL_INDEPENDENT) return later + carried;
-  if (model == v1::CORRELATION_MODEL_CORRELATED_FIXES) {
-    return UncorrelatedShare(earlier, later, Distance(from, to), settings) *
-           (later + carried);
+  switch (settings.correlation_model()) {
+    case v1::CORRELATION_MODEL_UNSPECIFIED:
+    case v1::CORRELATION_MODEL_DEAD_RECKONING:
+      return later - carried;
+    case v1::CORRELATION_MODEL_FILTER: {
+      if (!to.error_transition) return later - carried;
+      const Matrix4d common =
+          lever * earlier * ToMatrix(*to.error_transition).transpose();
+      return later + carried - common - common.transpose();
+    }
+    case v1::CORRELATION_MODEL_CORRELATED_FIXES:
+      return UncorrelatedShare(earlier, later, Distance(from, to), settings) *
+             (later + carried);
+    case v1::CORRELATION_MODEL_INDEPENDENT:
+      return later + carried;
+    default:
+      // A newer server may have a model that this client does not know. It is
+      // not refused, since poses and closures are as good as ever; it counts as
+      // independent, since what the two errors share is unknown and an edge
+      // that is too loose misleads an optimiser less than one too tight.
+      return later + carried;
   }
-  if (model == v1::CORRELATION_MODEL_FILTER && to.error_transition) {
-    const Matrix4d common =
-        lever * earlier * ToMatrix(*to.error_transition).transpose();
-    return later + carried - common - common.transpose();
-  }
-  return later - carried;
 }
 
 // Raises a covariance to the least one; answers whether it had to.

@@ -40,7 +40,8 @@ struct Step {
 //   S_j + L S_i L^T - L S_i Psi^T - Psi S_i L^T
 //
 // which for DEAD_RECKONING, where Psi is L, is S_j - L S_i L^T: what the step
-// has added.
+// has added. Under a model that the API of this client does not have, the two
+// share nothing: Psi is 0.
 Step StepBetween(const LocalPose& from, const LocalPose& to,
                  const v1::VehicleSettings& settings);
 

@@ -1,6 +1,7 @@
 #include "server/conversion/answers.h"
 
 #include <algorithm>
+#include <iterator>
 #include <string>
 
 #include "core/drive/dropped_stretch.h"
@@ -29,6 +30,8 @@ constexpr EnumRow<v1::Verdict, core::Verdict> kVerdicts[] = {
     {v1::VERDICT_AMBIGUOUS, core::Verdict::kAmbiguous},
     {v1::VERDICT_UNINFORMATIVE, core::Verdict::kUninformative},
     {v1::VERDICT_ILL_CONDITIONED, core::Verdict::kIllConditioned}};
+// Every verdict of the API but UNSPECIFIED has a row.
+static_assert(std::size(kVerdicts) == v1::Verdict_ARRAYSIZE - 1);
 constexpr EnumRow<v1::GateVerdict, core::GateVerdict> kGateVerdicts[] = {
     {v1::GATE_VERDICT_ACCEPTED, core::GateVerdict::kAccepted},
     {v1::GATE_VERDICT_REJECTED, core::GateVerdict::kRejected},

@@ -1,8 +1,8 @@
 #include "server/telemetry/service_counters.h"
 
 #include <algorithm>
-#include <cstring>
 #include <iterator>
+#include <string_view>
 
 #include "revisit/v1/error_reason.pb.h"
 #include "server/base/metrics.h"
@@ -30,38 +30,30 @@ constexpr const char* kCodes[] = {"OK",
                                   "UNAUTHENTICATED"};
 constexpr std::size_t kUnknownCode = 2;
 
-constexpr const char* kVerdicts[] = {"accepted",          "rejected_by_gate",
-                                     "rejected_by_shape", "ambiguous",
-                                     "uninformative",     "ill_conditioned"};
-
-// All results of OutcomeOf().
-constexpr const char* kOutcomes[] = {"accepted",          "rejected_by_gate",
-                                     "rejected_by_shape", "ambiguous",
-                                     "uninformative",     "ill_conditioned",
-                                     "path_too_short",    "no_history",
-                                     "all_suppressed",    "no_alignment",
-                                     "no_probable_place", "too_much_work",
-                                     "stopped",           "failed"};
-
-// The values of the label `decision`, in the order of Decision.
-constexpr const char* kDecisions[] = {
-    "loop_closure_added", "loop_closure_deleted", "candidate_rejected",
-    "rejection_deleted",  "poses_revised",        "data_loss_accepted"};
-
-constexpr char kReasonPrefix[] = "ERROR_REASON_";
-
-std::size_t CodeIndex(int code) {
-  const auto index = static_cast<std::size_t>(code);
-  return index < std::size(kCodes) ? index : kUnknownCode;
+// Names of values in labels and in the log; null for a number that is no value.
+// Counters are numbered by the values that have a name, so that a value without
+// one is an error in builds that only warn of others, too.
+#pragma GCC diagnostic push
+#pragma GCC diagnostic error "-Wswitch"
+constexpr const char* NameOf(core::Verdict verdict) {
+  switch (verdict) {
+    case core::Verdict::kAccepted:
+      return "accepted";
+    case core::Verdict::kRejectedByGate:
+      return "rejected_by_gate";
+    case core::Verdict::kRejectedByShape:
+      return "rejected_by_shape";
+    case core::Verdict::kAmbiguous:
+      return "ambiguous";
+    case core::Verdict::kUninformative:
+      return "uninformative";
+    case core::Verdict::kIllConditioned:
+      return "ill_conditioned";
+  }
+  return nullptr;
 }
 
-std::size_t ReasonIndex(const std::string& reason) {
-  v1::ErrorReason value = v1::ERROR_REASON_UNSPECIFIED;
-  v1::ErrorReason_Parse(kReasonPrefix + reason, &value);
-  return static_cast<std::size_t>(value);
-}
-
-const char* EmptyName(core::EmptyReason reason) {
+constexpr const char* NameOf(core::EmptyReason reason) {
   switch (reason) {
     case core::EmptyReason::kPathTooShort:
       return "path_too_short";
@@ -77,7 +69,83 @@ const char* EmptyName(core::EmptyReason reason) {
     case core::EmptyReason::kTooMuchWork:
       return "too_much_work";
   }
-  return "failed";
+  return nullptr;
+}
+
+constexpr const char* NameOf(Decision decision) {
+  switch (decision) {
+    case Decision::kLoopClosureAdded:
+      return "loop_closure_added";
+    case Decision::kLoopClosureDeleted:
+      return "loop_closure_deleted";
+    case Decision::kCandidateRejected:
+      return "candidate_rejected";
+    case Decision::kRejectionDeleted:
+      return "rejection_deleted";
+    case Decision::kPosesRevised:
+      return "poses_revised";
+    case Decision::kDataLossAccepted:
+      return "data_loss_accepted";
+  }
+  return nullptr;
+}
+
+#pragma GCC diagnostic pop
+
+// How many values of an enum have a name.
+template <typename Enum>
+constexpr std::size_t CountNamed() {
+  std::size_t count = 0;
+  while (NameOf(static_cast<Enum>(count)) != nullptr) ++count;
+  return count;
+}
+
+// The names of an enum's values, from the first that counts.
+template <typename Enum>
+std::vector<const char*> NamesOf(std::size_t first = 0) {
+  std::vector<const char*> names;
+  for (std::size_t i = first; i < CountNamed<Enum>(); ++i) {
+    names.push_back(NameOf(static_cast<Enum>(i)));
+  }
+  return names;
+}
+
+constexpr char kStopped[] = "stopped";
+constexpr char kFailed[] = "failed";
+
+// All results of OutcomeOf().
+const std::vector<const char*>& Outcomes() {
+  static const auto* const outcomes = [] {
+    auto* const names = new std::vector<const char*>(NamesOf<core::Verdict>());
+    // Without the first, kNotEmpty, whose name another has as well.
+    for (const char* name : NamesOf<core::EmptyReason>(1)) {
+      names->push_back(name);
+    }
+    names->push_back(kStopped);
+    names->push_back(kFailed);
+    return names;
+  }();
+  return *outcomes;
+}
+
+constexpr char kReasonPrefix[] = "ERROR_REASON_";
+
+std::size_t CodeIndex(int code) {
+  const auto index = static_cast<std::size_t>(code);
+  return index < std::size(kCodes) ? index : kUnknownCode;
+}
+
+std::size_t ReasonIndex(const std::string& reason) {
+  v1::ErrorReason value = v1::ERROR_REASON_UNSPECIFIED;
+  v1::ErrorReason_Parse(kReasonPrefix + reason, &value);
+  return static_cast<std::size_t>(value);
+}
+
+// The last of Outcomes(), kFailed, for a word that is none of them.
+std::size_t OutcomeIndex(std::string_view outcome) {
+  const auto& outcomes = Outcomes();
+  const auto found = std::find(outcomes.begin(), outcomes.end() - 1, outcome);
+  return static_cast<std::size_t>(found - outcomes.begin());
 }
 
 void Increase(std::atomic<std::uint64_t>* count, std::uint64_t amount = 1) {
@@ -163,12 +231,11 @@ void CollectSearches(const ServiceCounters::Counts& counts, Metrics* metrics) {
       .Add(counts.search_nodes);
 }
 
-template <std::size_t size>
 ServiceCounters::Labelled WithNames(
-    const char* const (&names)[size],
+    const std::vector<const char*>& names,
     const std::vector<std::atomic<std::uint64_t>>& counts) {
   ServiceCounters::Labelled labelled;
-  for (std::size_t i = 0; i < size; ++i) {
+  for (std::size_t i = 0; i < names.size(); ++i) {
     labelled.emplace_back(names[i], counts[i].load(std::memory_order_relaxed));
   }
   return labelled;
@@ -186,19 +253,19 @@ struct ServiceCounters::MethodCounts {
 
 const char* CodeName(int code) { return kCodes[CodeIndex(code)]; }
 
-const char* VerdictName(core::Verdict verdict) {
-  return kVerdicts[static_cast<std::size_t>(verdict)];
-}
-
 const char* OutcomeOf(const absl::StatusOr<core::CandidateSet>& set) {
-  if (absl::IsCancelled(set.status())) return "stopped";
-  if (absl::IsResourceExhausted(set.status())) return "too_much_work";
-  if (!set.ok()) return "failed";
-  if (set->candidates.empty()) return EmptyName(set->empty_reason);
-  for (const core::Candidate& candidate : set->candidates) {
-    if (candidate.verdict == core::Verdict::kAccepted) return "accepted";
+  if (absl::IsCancelled(set.status())) return kStopped;
+  if (absl::IsResourceExhausted(set.status())) {
+    return NameOf(core::EmptyReason::kTooMuchWork);
   }
-  return VerdictName(set->candidates.front().verdict);
+  if (!set.ok()) return kFailed;
+  if (set->candidates.empty()) return NameOf(set->empty_reason);
+  for (const core::Candidate& candidate : set->candidates) {
+    if (candidate.verdict == core::Verdict::kAccepted) {
+      return NameOf(candidate.verdict);
+    }
+  }
+  return NameOf(set->candidates.front().verdict);
 }
 
 ServiceCounters::ServiceCounters()
@@ -211,10 +278,10 @@ ServiceCounters::ServiceCounters()
       }()),
       errors_(v1::ErrorReason_ARRAYSIZE),
       poses_refused_(v1::ErrorReason_ARRAYSIZE),
-      searches_(std::size(kOutcomes)),
-      candidates_(std::size(kVerdicts)),
+      searches_(Outcomes().size()),
+      candidates_(CountNamed<core::Verdict>()),
       search_nodes_({100.0, 1e3, 1e4, 1e5, 1e6, 1e7}),
-      decisions_(std::size(kDecisions)) {}
+      decisions_(CountNamed<Decision>()) {}
 
 ServiceCounters::~ServiceCounters() = default;
 
@@ -265,11 +332,7 @@ void ServiceCounters::Refused(std::uint64_t poses, const absl::Status& status) {
 
 void ServiceCounters::Searched(const absl::StatusOr<core::CandidateSet>& set,
                                std::chrono::steady_clock::duration duration) {
-  const char* const outcome = OutcomeOf(set);
-  const auto found = std::find_if(
-      std::begin(kOutcomes), std::end(kOutcomes),
-      [&](const char* name) { return std::strcmp(name, outcome) == 0; });
-  Increase(&searches_[static_cast<std::size_t>(found - std::begin(kOutcomes))]);
+  Increase(&searches_[OutcomeIndex(OutcomeOf(set))]);
   // One that was stopped may not even have begun.
   if (!set.ok()) return;
   search_seconds_.Observe(duration);
@@ -300,11 +363,11 @@ ServiceCounters::Counts ServiceCounters::Read() const {
   counts.poses_accepted = poses_accepted_.load(std::memory_order_relaxed);
   counts.poses_repeated = poses_repeated_.load(std::memory_order_relaxed);
   counts.ack_seconds = ack_seconds_.Read();
-  counts.searches = WithNames(kOutcomes, searches_);
-  counts.candidates = WithNames(kVerdicts, candidates_);
+  counts.searches = WithNames(Outcomes(), searches_);
+  counts.candidates = WithNames(NamesOf<core::Verdict>(), candidates_);
   counts.search_seconds = search_seconds_.Read();
   counts.search_nodes = search_nodes_.Read();
-  counts.decisions = WithNames(kDecisions, decisions_);
+  counts.decisions = WithNames(NamesOf<Decision>(), decisions_);
   return counts;
 }
 

@@ -27,15 +27,14 @@ class Metrics;
 // that is no code.
 const char* CodeName(int code);
 
-// Name of a verdict in labels and in the log, such as "rejected_by_gate".
-const char* VerdictName(core::Verdict verdict);
-
 // How a search ended, in one word: the verdict of an accepted candidate, or
-// else of the best, or else why there is none ("no_history"); "stopped" where
-// its caller gave up, "failed" for any other error.
+// else of the best ("rejected_by_gate"), or else why there is none
+// ("no_history"); "stopped" where its caller gave up, "failed" for any other
+// error.
 const char* OutcomeOf(const absl::StatusOr<core::CandidateSet>& set);
 
-// A decision about a vehicle by people, or by programs for them.
+// A decision about a vehicle by people, or by programs for them. Numbered from
+// 0 without gaps.
 enum class Decision {
   kLoopClosureAdded,
   kLoopClosureDeleted,

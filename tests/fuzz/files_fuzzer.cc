@@ -34,12 +34,13 @@ void RequireGoodSample(const client::Sample& sample) {
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data,
                                       std::size_t size) {
-  constexpr int kFormats = 9;
+  // By content, each of the others, and the truth of a drive.
+  const int formats = 1 + static_cast<int>(client::Formats().size());
   revisit::fuzz::Input input(data, size);
-  const int format = input.Choice(kFormats + 1);
+  const int format = input.Choice(formats + 1);
   // Which conventions to convert from, and whether to look for suspicion.
   const int how = input.Choice(64);
-  if (format == kFormats) {
+  if (format == formats) {
     RequireGoodRefusal(client::ReadReference(client::BytesOf(input.Rest()),
                                              "name.csv", std::nullopt)
                            .status());

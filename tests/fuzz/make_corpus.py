@@ -188,7 +188,8 @@ def sentence(body):
 
 
 def files():
-    # The format (client/formats/reader.h) and how it is read.
+    # The format (client/formats/reader.h; behind the last of them, the truth of a
+    # drive) and how it is read.
     drive, tum, kitti, g2o, rtklib, gpx, nmea, ros, reference = range(1, 10)
     by_content = 0
 

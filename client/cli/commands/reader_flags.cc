@@ -42,11 +42,10 @@ class ReaderFlags {
   }
 
   void AddFormat() const {
-    const Words formats = {
-        {"drive", Word(Format::kDrive)},   {"tum", Word(Format::kTum)},
-        {"kitti", Word(Format::kKitti)},   {"g2o", Word(Format::kG2o)},
-        {"rtklib", Word(Format::kRtklib)}, {"gpx", Word(Format::kGpx)},
-        {"nmea", Word(Format::kNmea)},     {"ros", Word(Format::kRos)}};
+    Words formats;
+    for (const NamedFormat& known : Formats()) {
+      formats[known.name] = Word(known.format);
+    }
     group_.AddChoice(
         Name("format"), formats, &options_->format,
         Help("format", "Found out by the first line where this is not given"));

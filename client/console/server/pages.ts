@@ -2,6 +2,8 @@ import {readdirSync, readFileSync} from 'node:fs';
 import type {IncomingMessage, ServerResponse} from 'node:http';
 import {extname, join, relative, sep} from 'node:path';
 
+import {routeOf} from '../shared/addresses.js';
+
 const TYPES: Record<string, string> = {
   '.css': 'text/css; charset=utf-8',
   '.html': 'text/html; charset=utf-8',
@@ -22,13 +24,6 @@ export const SECURITY_HEADERS: Record<string, string> = {
   'referrer-policy': 'no-referrer',
   'x-content-type-options': 'nosniff',
 };
-
-// Addresses of views, which the page itself tells apart.
-const VIEWS = [
-  /^\/$/,
-  /^\/server(\/[\w.:%-]+)?$/,
-  /^\/vehicles\/[a-z0-9-]+(\/candidates\/\d+-\d+)?$/,
-];
 
 interface Page {
   body: Buffer;
@@ -70,7 +65,7 @@ export class Pages {
 
   answer(request: IncomingMessage, response: ServerResponse): void {
     const path = (request.url ?? '/').split('?')[0];
-    const isView = VIEWS.some(view => view.test(path));
+    const isView = routeOf(path).view !== 'none';
     const page = this.pages.get(isView ? '/index.html' : path);
     if (!page) {
       response.writeHead(404, {'content-type': 'text/plain'});

@@ -1,3 +1,4 @@
+import type {JSX} from 'preact';
 import {useEffect, useRef} from 'preact/hooks';
 
 import {connection, signIn, token} from './data/client.js';
@@ -75,7 +76,7 @@ function Header() {
   );
 }
 
-function View() {
+function View(): JSX.Element {
   const now = route.value;
   useEffect(() => {
     if (now.view !== 'vehicle' && now.view !== 'candidate') leaveVehicle();
@@ -92,7 +93,7 @@ function View() {
         <CandidateView key={`${now.vehicle} ${who}`} id={now.vehicle}
                        asked={now.asked} matched={now.matched} />
       );
-    default: return <h1>There is no such view</h1>;
+    case 'none': return <h1>There is no such view</h1>;
   }
 }
 

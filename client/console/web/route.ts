@@ -1,39 +1,11 @@
 // The address of the page says what it shows, so that every view has a link.
 import {computed, signal} from '@preact/signals';
 
-export type Route =
-    {view: 'fleet'}|{view: 'server', server?: string}|
-    {view: 'vehicle', vehicle: string}|
-    {view: 'candidate', vehicle: string, asked: number, matched: number}|
-    {view: 'none'};
+import {routeOf} from '../shared/addresses.js';
 
 const address = signal(location.pathname + location.search);
 
-/** The text itself where it is no encoding of one. */
-function decoded(text: string): string {
-  try {
-    return decodeURIComponent(text);
-  } catch {
-    return text;
-  }
-}
-
-function parse(path: string): Route {
-  if (path === '/') return {view: 'fleet'};
-  if (path === '/server') return {view: 'server'};
-  const server = /^\/server\/([\w.:%-]+)$/.exec(path);
-  if (server) return {view: 'server', server: decoded(server[1])};
-  const found =
-      /^\/vehicles\/([a-z0-9-]+)(?:\/candidates\/(\d+)-(\d+))?$/.exec(path);
-  if (!found) return {view: 'none'};
-  const [, vehicle, asked, matched] = found;
-  return asked === undefined ?
-      {view: 'vehicle', vehicle} :
-      {view: 'candidate', vehicle, asked: Number(asked),
-       matched: Number(matched)};
-}
-
-export const route = computed(() => parse(address.value.split('?')[0]));
+export const route = computed(() => routeOf(address.value.split('?')[0]));
 
 /** The part of the address behind its question mark. */
 export const query =

@@ -13,37 +13,10 @@
 #include "core/noise/comparison.h"
 #include "core/search/belief/scale_estimate.h"
 #include "core/search/candidates/gate_result.h"
+#include "core/search/candidates/relative_evidence.h"
+#include "core/search/candidates/verdict.h"
 
 namespace revisit::core {
-
-// Why a candidate is accepted or not: verdict.h.
-enum class Verdict {
-  kAccepted,
-  kRejectedByGate,
-  kRejectedByShape,
-  kAmbiguous,
-  kUninformative,
-  kIllConditioned,
-};
-
-// The evidence for a candidate that only a relative alignment has.
-struct RelativeEvidence {
-  // Posterior probability of this stretch of road (kStretchRadiusMeters), and
-  // its ratio to that of the best other place, if there is one.
-  double probability = 0.0;
-  std::optional<double> odds_to_runner_up;
-  // How far along the path, before and after the matched node, the place may
-  // lie: with kIntervalShare of that probability it is between.
-  double meters_before = 0.0;
-  double meters_after = 0.0;
-  GateResult path_gate;
-  // ShapeMatch::squared_end_difference.
-  double squared_end_difference = 0.0;
-  // How far back the two paths run together, and the logarithm of how much
-  // likelier their shapes are on the same road than on different ones.
-  double overlap_meters = 0.0;
-  double log_likelihood_ratio = 0.0;
-};
 
 struct Candidate {
   // 1 for the best.
@@ -68,6 +41,7 @@ struct Candidate {
   std::vector<std::pair<NodeIndex, NodeIndex>> path;
 };
 
+// Why there are no candidates. Reasons are numbered from 0 without gaps.
 enum class EmptyReason {
   // There are candidates.
   kNotEmpty,

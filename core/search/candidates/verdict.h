@@ -2,10 +2,21 @@
 #ifndef REVISIT_CORE_SEARCH_CANDIDATES_VERDICT_H_
 #define REVISIT_CORE_SEARCH_CANDIDATES_VERDICT_H_
 
-#include "core/search/candidates/candidate.h"
-#include "core/search/candidates/gate.h"
+#include "core/search/candidates/gate_result.h"
+#include "core/search/candidates/relative_evidence.h"
 
 namespace revisit::core {
+
+// Why a candidate is accepted or not: see Decide(). Verdicts are numbered from
+// 0 without gaps.
+enum class Verdict {
+  kAccepted,
+  kRejectedByGate,
+  kRejectedByShape,
+  kAmbiguous,
+  kUninformative,
+  kIllConditioned,
+};
 
 // The verdict where only the gate decides.
 Verdict GateAlone(GateVerdict gate);

@@ -103,6 +103,17 @@ TEST(RelativePose, StepOfAFilterForgetsWhatItsTransitionForgets) {
   EXPECT_NEAR(step.relative.covariance[15], 0.01, 1e-12);
 }
 
+TEST(RelativePose, StepOfAModelOfANewerServerIsAsUncertainAsBothEnds) {
+  v1::VehicleSettings settings = G2oSettings(v1::STATE_SPACE_PLANAR);
+  settings.set_correlation_model(static_cast<v1::CorrelationModel>(99));
+  const LocalPose from = LevelPose(1, 0.0, 0.0, 0.0, {1.0, 1.0, 0.0, 0.01});
+  const Step step = StepBetween(
+      from, LevelPose(2, 2.0, 0.0, 0.0, {1.0, 1.5, 0.0, 0.02}), settings);
+  EXPECT_FALSE(step.raised);
+  EXPECT_NEAR(step.relative.covariance[0], 2.0, 1e-12);
+  EXPECT_NEAR(step.relative.covariance[15], 0.03, 1e-12);
+}
+
 TEST(RelativePose, StepIsNeverCertain) {
   // The claimed covariance shrinks.
   const Step step =

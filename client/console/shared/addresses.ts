@@ -1,0 +1,33 @@
+// The addresses of the console's views. The page shows the view of its address,
+// and the server answers with the page at the address of every view.
+
+export type Route =
+    {view: 'fleet'}|{view: 'server', server?: string}|
+    {view: 'vehicle', vehicle: string}|
+    {view: 'candidate', vehicle: string, asked: number, matched: number}|
+    {view: 'none'};
+
+/** The text itself where it is no encoding of one. */
+function decoded(text: string): string {
+  try {
+    return decodeURIComponent(text);
+  } catch {
+    return text;
+  }
+}
+
+/** The view at a path; 'none' where there is none. */
+export function routeOf(path: string): Route {
+  if (path === '/') return {view: 'fleet'};
+  if (path === '/server') return {view: 'server'};
+  const server = /^\/server\/([\w.:%-]+)$/.exec(path);
+  if (server) return {view: 'server', server: decoded(server[1])};
+  const found =
+      /^\/vehicles\/([a-z0-9-]+)(?:\/candidates\/(\d+)-(\d+))?$/.exec(path);
+  if (!found) return {view: 'none'};
+  const [, vehicle, asked, matched] = found;
+  return asked === undefined ?
+      {view: 'vehicle', vehicle} :
+      {view: 'candidate', vehicle, asked: Number(asked),
+       matched: Number(matched)};
+}
