@@ -43,6 +43,8 @@ class SampleReader {
   virtual LeftOut left_out() const { return {}; }
 };
 
+// A new one has a row in kRows of reader.cc, which names and reads it, and is
+// told apart by its first lines in Recognize() there.
 enum class Format {
   // Found out by the first lines.
   kByContent,

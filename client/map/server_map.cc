@@ -69,6 +69,9 @@ struct VerdictStyle {
   MapStyle style;
 };
 
+static_assert(v1::Verdict_MAX == v1::VERDICT_ILL_CONDITIONED,
+              "every verdict has a style below");
+
 const std::vector<VerdictStyle>& VerdictStyles() {
   static const auto* const styles = new std::vector<VerdictStyle>{
       {v1::VERDICT_ACCEPTED, "accepted", {"", "#0a8f6a", true, false, 1.0}},

@@ -115,7 +115,6 @@ Matrix4d StepCovariance(const LocalPose& from, const LocalPose& to,
       return UncorrelatedShare(earlier, later, Distance(from, to), settings) *
              (later + carried);
     case v1::CORRELATION_MODEL_INDEPENDENT:
-      return later + carried;
     default:
       // A newer server may have a model that this client does not know. It is
       // not refused, since poses and closures are as good as ever; it counts as

@@ -1,4 +1,5 @@
 // The list of noise models, and the only place that tells them apart.
+// noise_model.h says what else a new one needs.
 #ifndef REVISIT_CORE_NOISE_MODELS_H_
 #define REVISIT_CORE_NOISE_MODELS_H_
 

@@ -5,7 +5,9 @@
 // row, and nobody else asks which model it is. Each model is whole in a file of
 // its own beside this one: its row, with a reason for each entry, and its
 // formulas. To add one: such a file, an entry in CorrelationModel and in
-// models.h, and its name in the API (docs/how-it-works.md).
+// models.h, and its name in API and store: the enums of that name in
+// proto/revisit/v1/vehicle.proto and server/records/stored_records.proto, and
+// kCorrelationModels in server/fields/settings_table.h (docs/how-it-works.md).
 //
 // A new row is cautious: it claims nothing that a search could rely on.
 #ifndef REVISIT_CORE_NOISE_NOISE_MODEL_H_

@@ -1,6 +1,11 @@
 // The methods of revisit.v1.PoseGraphService. Their handlers are in files of
 // their own, by what they are about. Each decodes, calls a session, and
 // encodes; none blocks a thread of gRPC.
+//
+// A new method has, besides its message types, a handler and its lines here: a
+// row in security/method_rules.cc, which says who may call it; one in
+// telemetry/audit_log.cc, if it changes something; and its call in
+// client/revisit/client.h.
 #ifndef REVISIT_SERVER_SERVICE_POSE_GRAPH_SERVICE_H_
 #define REVISIT_SERVER_SERVICE_POSE_GRAPH_SERVICE_H_
 

@@ -1,6 +1,8 @@
 // Counts what the calls of the API do, as they do it: how many, how they
 // ended, how long they took, how many poses and searches. Labels come from
-// fixed sets, so that the number of counters does not grow with use.
+// fixed sets, so that the number of counters does not grow with use. A new
+// count is told in CollectMetrics(), and counted by service/call_record.cc
+// where it is about a call, otherwise by the handler.
 #ifndef REVISIT_SERVER_TELEMETRY_SERVICE_COUNTERS_H_
 #define REVISIT_SERVER_TELEMETRY_SERVICE_COUNTERS_H_
 

@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "client/answers/names.h"
 #include "client/cli/commands/reader_flags.h"
 #include "client/cli/commands/shared_flags.h"
 #include "client/formats/text_lines.h"
@@ -247,12 +248,9 @@ void AddPoseFlags(const Command& command, ConvertOptions* options) {
                         {"spatial", v1::STATE_SPACE_SPATIAL}};
   command.AddChoice("--state-space", spaces, &options->state_space,
                     "Of the vehicle that the poses are for (planar)");
-  const Words models = {
-      {"dead-reckoning", v1::CORRELATION_MODEL_DEAD_RECKONING},
-      {"independent", v1::CORRELATION_MODEL_INDEPENDENT},
-      {"filter", v1::CORRELATION_MODEL_FILTER},
-      {"correlated-fixes", v1::CORRELATION_MODEL_CORRELATED_FIXES}};
-  command.AddChoice("--correlation-model", models, &options->correlation_model,
+  command.AddChoice("--correlation-model",
+                    WordsOf(v1::CorrelationModel_descriptor()),
+                    &options->correlation_model,
                     "Likewise (dead-reckoning); with filter, poses have the "
                     "file's error transitions");
 }

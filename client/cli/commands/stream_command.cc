@@ -101,16 +101,11 @@ constexpr char kStreamExamples[] =
 
 // Adds the flags that say what becomes of the poses.
 void AddVehicleFlags(const Command& command, StreamOptions* options) {
-  const Words models = {
-      {"dead-reckoning", v1::CORRELATION_MODEL_DEAD_RECKONING},
-      {"independent", v1::CORRELATION_MODEL_INDEPENDENT},
-      {"filter", v1::CORRELATION_MODEL_FILTER},
-      {"correlated-fixes", v1::CORRELATION_MODEL_CORRELATED_FIXES}};
   command.AddSwitch("--create", &options->create,
                     "Create the vehicle if there is none, with the server's "
                     "default settings");
   command.AddChoice(
-      "--correlation-model", models,
+      "--correlation-model", WordsOf(v1::CorrelationModel_descriptor()),
       [options](int model) {
         options->settings.set_correlation_model(
             static_cast<v1::CorrelationModel>(model));

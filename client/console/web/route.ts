@@ -1,4 +1,5 @@
-// The address of the page says what it shows, so that every view has a link.
+// The address of the page says what it shows, so that every view has a link. The
+// addresses are in ../shared/addresses.ts, for the server answers at them too.
 import {computed, signal} from '@preact/signals';
 
 import {routeOf} from '../shared/addresses.js';

@@ -1,4 +1,5 @@
-// The chi-square gate: whether two pose estimates can be at one place.
+// The chi-square gate: whether two pose estimates can be at one place. Which
+// candidates are accepted, by this and by all else, is decided in verdict.cc.
 #ifndef REVISIT_CORE_SEARCH_CANDIDATES_GATE_H_
 #define REVISIT_CORE_SEARCH_CANDIDATES_GATE_H_
 
