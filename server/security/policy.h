@@ -41,7 +41,7 @@
 // identity with grants of two tenants is refused, rather than guessed at.
 //
 // A new limit of a tenant is a field of a rule here, read and applied in
-// policy.cc, handed on in Caller (caller.h), and kept by
+// policy.cc, handed on in Caller (caller.h) and by service/call.cc, and kept by
 // connections/admission.cc.
 #ifndef REVISIT_SERVER_SECURITY_POLICY_H_
 #define REVISIT_SERVER_SECURITY_POLICY_H_

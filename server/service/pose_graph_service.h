@@ -4,8 +4,9 @@
 //
 // A new method has, besides its message types, a handler and its lines here: a
 // row in security/method_rules.cc, which says who may call it; one in
-// telemetry/audit_log.cc, if it changes something; and its call in
-// client/revisit/client.h.
+// telemetry/audit_log.cc, if it changes something; a route of
+// deploy/cluster/envoy.yaml (made by update_routing.py beside it); and its call
+// in client/revisit/client.h and client/python/revisit/_calls.py.
 #ifndef REVISIT_SERVER_SERVICE_POSE_GRAPH_SERVICE_H_
 #define REVISIT_SERVER_SERVICE_POSE_GRAPH_SERVICE_H_
 

@@ -218,7 +218,7 @@ class Storage {
   // this. Takes the place of the one before, which is not called any more once
   // this returns; null ends the calls.
   using HandOver = std::function<void(const WantedVehicle&)>;
-  virtual void OnWanted(HandOver /*hand_over*/) {}
+  virtual void OnWanted(const HandOver& /*hand_over*/) {}
   // This server sends its callers to others before it ends: vehicles are wanted
   // as soon as others ask for them, however short they were here.
   virtual void Leave() {}

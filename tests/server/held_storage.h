@@ -178,8 +178,8 @@ class HeldStorage : public Storage {
     Submit(std::move(done),
            [=](Done then) { storage_->ConfirmOwned(key, std::move(then)); });
   }
-  void OnWanted(HandOver hand_over) override {
-    storage_->OnWanted(std::move(hand_over));
+  void OnWanted(const HandOver& hand_over) override {
+    storage_->OnWanted(hand_over);
   }
   absl::StatusOr<VehicleRecord> GetVehicle(const std::string& id) override {
     const absl::Status status = ReadStatus();

@@ -135,9 +135,9 @@ class OwnedStorage : public Storage {
     if (Refuses(key, done)) return;
     storage_->ConfirmOwned(key, std::move(done));
   }
-  void OnWanted(HandOver hand_over) override {
+  void OnWanted(const HandOver& hand_over) override {
     const std::lock_guard<std::mutex> guard(mutex_);
-    hand_over_ = std::move(hand_over);
+    hand_over_ = hand_over;
   }
 
   void CreateVehicle(

@@ -1,3 +1,4 @@
+// The gate alone: which candidates are accepted is decided in verdict.cc.
 #include "core/search/candidates/gate.h"
 
 #include <cassert>

@@ -10,7 +10,9 @@ namespace revisit::core {
 // Why a candidate is accepted or not: see Decide(). Verdicts are numbered from
 // 0 without gaps. A new one has its name in candidate.proto, in kVerdicts of
 // server/conversion/answers.cc and in server/telemetry/service_counters.cc, its
-// style in client/map/server_map.cc and in client/console/web/views/drive.ts.
+// words in client/answers/candidate_text.cc, its style in
+// client/map/server_map.cc, and in views/drive.ts and style.css of
+// client/console/web.
 enum class Verdict {
   kAccepted,
   kRejectedByGate,

@@ -260,8 +260,8 @@ class PostgresStorage : public PostgresReader {
 
   void Leave() override { ownership_->Leave(); }
 
-  void OnWanted(HandOver hand_over) override {
-    ownership_->OnWanted(std::move(hand_over));
+  void OnWanted(const HandOver& hand_over) override {
+    ownership_->OnWanted(hand_over);
   }
 
   absl::StatusOr<std::vector<StorageUser>> ListUsers() override {
