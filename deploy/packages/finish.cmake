@@ -13,7 +13,7 @@ foreach(component IN LISTS CPACK_COMPONENTS_ALL)
   file(MAKE_DIRECTORY ${documents})
   file(COPY_FILE ${CPACK_REVISIT_SOURCE}/CHANGELOG.md ${documents}/changelog)
   file(WRITE ${documents}/changelog.Debian
-"revisit (${version}) bookworm; urgency=medium
+"revisit (${version}) ${CPACK_REVISIT_DISTRIBUTION}; urgency=medium
 
   * Built from the sources of revisit ${CPACK_DEBIAN_PACKAGE_VERSION}; changelog.gz has what is new.
 

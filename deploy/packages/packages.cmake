@@ -27,9 +27,20 @@ set(CPACK_PRE_BUILD_SCRIPTS ${packages}/finish.cmake)
 set(CPACK_REVISIT_SOURCE ${PROJECT_SOURCE_DIR})
 
 set(CPACK_DEBIAN_FILE_NAME DEB-DEFAULT)
+# Packages are for the system that they are built on, whose libraries they depend on:
+# 12 and bookworm, say.
+cmake_host_system_information(
+  RESULT system QUERY DISTRIB_ID DISTRIB_VERSION_ID DISTRIB_VERSION_CODENAME)
+list(GET system 0 system_id)
+list(GET system 1 system_version)
+list(GET system 2 CPACK_REVISIT_DISTRIBUTION)
+set(system_revision 1)
+if(system_id STREQUAL debian)
+  set(system_revision 1~deb${system_version})
+endif()
 # Packages of a commit behind the release need a revision above it, such as
 # 1~deb12+20261123, so that they count as newer.
-set(REVISIT_PACKAGE_REVISION 1~deb12 CACHE STRING
+set(REVISIT_PACKAGE_REVISION ${system_revision} CACHE STRING
     "Revision of the Debian packages, behind the version of revisit")
 set(CPACK_DEBIAN_PACKAGE_VERSION ${PROJECT_VERSION})
 set(CPACK_DEBIAN_PACKAGE_RELEASE ${REVISIT_PACKAGE_REVISION})
