@@ -119,9 +119,9 @@ CLAIMS = [
                 '[GRPCURL, "-cacert"', "GetServerInfo"))),
     *claims("docs/try.md",
             ("<!-- grpcurl -->", "tests/integration/test_grpcurl.py", (
-                "<!-- grpcurl -->",)),
+                'command.marker == "grpcurl"',)),
             ("<!-- revisit -->", "tests/integration/test_settings_and_cli.py", (
-                "<!-- revisit -->",))),
+                'command.marker == "revisit"',))),
     *claims("proto/README.md",
             ("<!-- protoc -->", "tests/integration/test_proto_contract.py", (
                 "<!-- protoc -->",)),
@@ -132,6 +132,9 @@ CLAIMS = [
              "client/examples/typescript/package.json", (
                  "--plugin=node_modules/.bin/protoc-gen-ts_proto",
                  "forceLong=bigint"))),
+    *claims("docs/verifier.md",
+            ("<!-- verifier -->", "tests/python/test_examples.py", (
+                'command.marker == "verifier"',))),
     # How the store was made that lies beside it.
     *claims("tests/data/stores/README.md",
             ("revisit", "tests/packages/test_packages.py", (
@@ -450,6 +453,7 @@ def odometry(t, x, y, yaw):
 
 GIVEN = {
     "docs/command-line.md": Place.add_driven_vehicle,
+    "docs/first-candidate.md": Place.add_driven_vehicle,
     "docs/operate.md": Place.add_identities,
     "docs/recordings.md": Place.add_recordings,
     "docs/scale.md": Place.add_identities,

@@ -46,7 +46,7 @@ class StandIn:
     """Stands in for a matcher. Write yours with the same `look()`."""
 
     POSITION_METERS, HEADING_RADIANS = 0.05, 0.003
-    RANGE_METERS, RANGE_RADIANS = 10.0, math.radians(45.0)
+    RANGE_METERS = 10.0
     #: In one of so many places there is too little to be seen.
     DARK_EVERY = 7
 
@@ -64,8 +64,7 @@ class StandIn:
                                 [-math.sin(there[2]), math.cos(there[2])]]) @ (
             here[:2] - there[:2])
         turned = math.remainder(here[2] - there[2], 2.0 * math.pi)
-        if (math.hypot(ahead, left) > self.RANGE_METERS
-                or abs(turned) > self.RANGE_RADIANS):
+        if math.hypot(ahead, left) > self.RANGE_METERS:
             return Look(Answer.OTHER_PLACE)
         sigmas = np.array([self.POSITION_METERS, self.POSITION_METERS,
                            self.HEADING_RADIANS])
@@ -122,8 +121,10 @@ class Verifier:
     def _places(self, candidate, query):
         """Sequences to look at: the match, then others along its interval, each as
         far from its node as the query is from the query's."""
-        at = (candidate.matched.travelled_meters + self._travelled[query - 1]
-              - candidate.query.travelled_meters)
+        ahead = self._travelled[query - 1] - candidate.query.travelled_meters
+        if candidate.direction == revisit.v1.DIRECTION_OPPOSITE:
+            ahead = -ahead
+        at = candidate.matched.travelled_meters + ahead
         interval = candidate.place_interval
         offsets = [0.0]
         for far, sign in ((interval.meters_before, -1.0),
@@ -160,7 +161,8 @@ def main():
                             np.concatenate([[0.0], np.cumsum(steps)]))
         for row in range(0, len(poses), POSES_PER_CHECK):
             client.append_poses(arguments.vehicle, poses[row:row + POSES_PER_CHECK])
-            verifier.verify(client.find_candidates(arguments.vehicle))
+            verifier.verify(client.find_candidates(arguments.vehicle,
+                                                   direction="either"))
         consistency = client.get_vehicle(arguments.vehicle).consistency
     for answer, count in verifier.counts.items():
         print(f"{answer.value:14} {count}")
