@@ -66,7 +66,8 @@ def commands(path):
 # request it was.
 OF_ONE_RUN = re.compile(
     r"[0-9a-f]{8}(?:-[0-9a-f]{4}){3}-[0-9a-f]{12}|20\d\d-\d\d-\d\dT[\d:.]+Z"
-    r"|in [\d.]+ s, \d+/s|(?<=duration\": )\"[\d.]+s\"|(?<=\"request_id\": )\"\w+\"|127\.0\.0\.1:\d+")
+    r"|in [\d.]+ s, \d+/s|(?<=duration\": )\"[\d.]+s\""
+    r"|(?<=\"request_id\": )\"\w+\"|127\.0\.0\.1:\d+")
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[-+]\d+)?")
 
 

@@ -1,5 +1,5 @@
-"""The pictures of docs/concepts.md are those that docs/pictures/draw.py draws, with what
-the server answers today."""
+"""The pictures of docs/concepts.md are those that docs/pictures/draw.py draws, with
+what the server answers today."""
 
 import os
 import re
