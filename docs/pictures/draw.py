@@ -171,7 +171,7 @@ BOXES = (("vehicle", "odometry, filter or fixes", 30, 40),
 
 
 def round_trip():
-    picture = Picture(760, 300, "Poses in, candidates out, findings back")
+    picture = Picture(760, 300, "Poses in, candidates out, reports back")
     for name, work, x, y in BOXES:
         classes = "blue pale" if name == "revisit" else "soft"
         picture.box(x, y, 180, 62, classes)
@@ -190,7 +190,7 @@ def round_trip():
     picture.arrow((410, 215), (410, 102), "green")
     picture.text((420, 155), "optimised poses,", "green")
     picture.text((420, 171), "if you want", "green")
-    picture.text((30, 135), "Each finding improves", "soft small")
+    picture.text((30, 135), "Each report improves", "soft small")
     picture.text((30, 151), "the searches after it.", "soft small")
     return picture
 

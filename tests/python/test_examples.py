@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+import textwrap
 
 import nbclient
 import nbformat
@@ -90,6 +91,14 @@ def test_the_lines_of_documents_run(document, server, client, boreas, tmp_path,
                 f"{record.getMessage()}\n" for record in caplog.records)
             assert said.replace(vehicle, "shuttle-7") == shown
         assert client.get_vehicle(vehicle).durable_sequence > 0
+
+
+def test_the_verifier_is_the_one_that_its_document_shows():
+    shown = re.findall(r"^```py\n(.*?)^```", (ROOT / "docs/verifier.md").read_text(),
+                       re.DOTALL | re.MULTILINE)
+    text = (PACKAGE / "examples/verifier.py").read_text()
+    assert len(shown) == 2
+    assert all(textwrap.indent(block, "    ") in text for block in shown)
 
 
 def test_the_verifier_prints_what_its_document_shows(server, client):
