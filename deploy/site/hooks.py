@@ -28,7 +28,8 @@ PAGES = {
 # What a page of the site has instead, beside the folders of these documents.
 OTHERS = {"proto/revisit/v1": "api.md"}
 
-LINK = re.compile(r"\[([^\]]*)\]\(([^)\s]+)\)")
+# A picture is a link with ! before it.
+LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s]+)\)")
 EMPTY_HEAD = re.compile(r"<thead>\s*<tr>(\s*<th[^>]*></th>)+\s*</tr>\s*</thead>")
 FENCE = re.compile(r"^(?:```.*?^```|<!--.*?-->)", re.DOTALL | re.MULTILINE)
 
@@ -55,13 +56,17 @@ def _linked(document):
     not in the site, by the name of that."""
 
     def replace(match):
-        text, target = match.groups()
+        is_picture, text, target = match.groups()
         if re.match(r"[a-z]+:|#", target):
             return match[0]
         path, hash_sign, anchor = target.partition("#")
         place = os.path.normpath(os.path.join(os.path.dirname(document), path))
         if not (TREE / place).exists():
             raise ValueError(f"{document} links to {place}, which is not there")
+        if is_picture:
+            if not place.startswith("docs/"):
+                raise ValueError(f"{document} has {place}, which is not in docs/")
+            return f"![{text}]({place.removeprefix('docs/')})"
         page = _page_of(place)
         if page is None:
             plain = text.strip("`")

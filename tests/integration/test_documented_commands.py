@@ -15,7 +15,7 @@ import typing
 
 import pytest
 
-from documents import DOCUMENTS, commands, name_of
+from documents import DOCUMENTS, commands, is_shown, name_of
 from identities import Authority, TokenKey, key_set
 from own_postgres import own_postgres
 from revisit_server import (BIN, RUN_SECONDS, STOP_SECONDS, clean_environment,
@@ -119,9 +119,9 @@ CLAIMS = [
                 '[GRPCURL, "-cacert"', "GetServerInfo"))),
     *claims("docs/try.md",
             ("<!-- grpcurl -->", "tests/integration/test_grpcurl.py", (
-                "<!-- grpcurl -->",)),
+                'command.marker == "grpcurl"',)),
             ("<!-- revisit -->", "tests/integration/test_settings_and_cli.py", (
-                "<!-- revisit -->",))),
+                'command.marker == "revisit"',))),
     *claims("proto/README.md",
             ("<!-- protoc -->", "tests/integration/test_proto_contract.py", (
                 "<!-- protoc -->",)),
@@ -132,6 +132,9 @@ CLAIMS = [
              "client/examples/typescript/package.json", (
                  "--plugin=node_modules/.bin/protoc-gen-ts_proto",
                  "forceLong=bigint"))),
+    *claims("docs/verifier.md",
+            ("<!-- verifier -->", "tests/python/test_examples.py", (
+                'command.marker == "verifier"',))),
     # How the store was made that lies beside it.
     *claims("tests/data/stores/README.md",
             ("revisit", "tests/packages/test_packages.py", (
@@ -153,7 +156,7 @@ def is_claimed(document, command):
 # By document, its commands that are run here. Results tell how figures came about,
 # on drives that are not shipped.
 TRIED = {name: tried for name, tried in (
-    (name_of(path), [command.text for command in commands(path)
+    (name_of(path), [command for command in commands(path)
                      if not is_claimed(name_of(path), command)])
     for path in DOCUMENTS if path.name != "RESULTS.md") if tried}
 
@@ -297,8 +300,9 @@ class Place:
             for role in ("revisit_owner", "revisit"):
                 self.replaced[f"postgresql://{role}@db.example/revisit"
                               "?sslmode=verify-full"] = postgres.url(role)
+        # As wide as the terminal on which the documents show what is printed.
         self.environment = clean_environment(
-            HOME=str(directory / "home"), REVISIT_SERVER=here,
+            HOME=str(directory / "home"), REVISIT_SERVER=here, COLUMNS="88",
             PATH=f"{directory / 'bin'}:{BIN}:{GRPCURL.parent}:{os.environ['PATH']}")
         self._server = None
 
@@ -309,16 +313,19 @@ class Place:
             ["bash", "-c", command], cwd=self.directory, text=True,
             env=self.environment, stdin=subprocess.DEVNULL, **more)
 
-    def run(self, command):
-        """Runs a command that has to end well. One that serves is left running
-        until the next one of the document that does."""
+    def run(self, command, shown=None):
+        """Runs a command that has to end well, or, if its document shows what it
+        prints, to print that. One that serves is left running until the next one of
+        the document that does."""
         if re.match(r"\S*revisitd --", command):
             self._serve("exec " + command.rstrip("& "))
             return
         with self.popen(command, stdout=subprocess.PIPE,
                         stderr=subprocess.STDOUT) as process:
             output = process.communicate(timeout=RUN_SECONDS)[0]
-        assert process.returncode == 0, f"{command}\n{output}"
+        assert process.returncode == 0 or shown, f"{command}\n{output}"
+        assert shown is None or is_shown(shown, output), (
+            f"{command}\nprints\n{output}and not\n{shown}")
 
     def _serve(self, command):
         self.close()
@@ -446,6 +453,7 @@ def odometry(t, x, y, yaw):
 
 GIVEN = {
     "docs/command-line.md": Place.add_driven_vehicle,
+    "docs/first-candidate.md": Place.add_driven_vehicle,
     "docs/operate.md": Place.add_identities,
     "docs/recordings.md": Place.add_recordings,
     "docs/scale.md": Place.add_identities,
@@ -456,7 +464,7 @@ GIVEN = {
 def test_commands_of(document, tmp_path):
     with contextlib.ExitStack() as stack:
         postgres = None
-        if any("@db.example" in command for command in TRIED[document]):
+        if any("@db.example" in command.text for command in TRIED[document]):
             postgres = stack.enter_context(own_postgres())
             if postgres is None:
                 pytest.skip("there is no PostgreSQL: tests/run installs it")
@@ -466,9 +474,9 @@ def test_commands_of(document, tmp_path):
             GIVEN[document](place)
         left_out = []
         for command in TRIED[document]:
-            if command.startswith("grpcurl") and not GRPCURL.exists():
-                left_out.append(command)
+            if command.text.startswith("grpcurl") and not GRPCURL.exists():
+                left_out.append(command.text)
             else:
-                place.run(command)
+                place.run(command.text, command.shown)
     if left_out:
         pytest.skip(f"without grpcurl, which tests/run builds: {left_out}")

@@ -51,3 +51,29 @@ def test_every_link_leads_to_something_in_the_tree(document):
                                       "how-it-works", "limits"])
 def test_readme_leads_to(document):
     assert f"docs/{document}.md" in links(ROOT / "README.md")
+
+
+def quoted_messages():
+    """Messages of the first columns of docs/troubleshooting.md."""
+    rows = re.findall(r"^\| (`.*?) \|", (ROOT / "docs/troubleshooting.md").read_text(),
+                      re.MULTILINE)
+    return [message for row in rows for message in re.findall(r"`([^`]+)`", row)]
+
+
+def words_of_sources():
+    """All text in the sources that print messages: adjacent literals are one."""
+    text = " ".join(path.read_text() for folder in ("client", "core", "server", "proto")
+                    for pattern in ("*.cc", "*.h", "*.proto")
+                    for path in (ROOT / folder).rglob(pattern)
+                    if "node_modules" not in path.parts)
+    return re.sub(r'"\s+"', "", text)
+
+
+def test_messages_that_are_explained_are_those_of_the_programs():
+    sources = words_of_sources()
+    parts = {part.strip() for message in quoted_messages()
+             for part in message.split("...") if len(part.strip()) > 3}
+    assert len(parts) > 50
+    # Of gRPC, of the operating system.
+    parts -= {"failed to connect to all addresses", ": Address already in use"}
+    assert sorted(part for part in parts if part not in sources) == []

@@ -12,6 +12,7 @@ import subprocess
 
 import pytest
 
+from documents import commands, is_shown
 from revisit_server import RUN_SECONDS
 from stubs import ROOT
 
@@ -31,14 +32,8 @@ def grpcurl():
                     "where there is Go", returncode=77)
 
 
-def tried_commands():
-    """Commands of docs/try.md between its two markers, each one string."""
-    block = re.search(r"<!-- grpcurl -->\n```sh\n(.*?)```\n<!-- /grpcurl -->",
-                      (ROOT / "docs/try.md").read_text(), re.DOTALL).group(1)
-    block = re.sub(r"^#.*\n", "", block, flags=re.MULTILINE)
-    return [f"grpcurl {command}".strip()
-            for command in re.split(r"^grpcurl ", block, flags=re.MULTILINE)
-            if command.strip()]
+TRIED = [command for command in commands(ROOT / "docs/try.md")
+         if command.marker == "grpcurl"]
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +53,7 @@ def run_line(server):
 @pytest.fixture(scope="module")
 def results(run_line):
     """Results of its lines, in their order."""
-    return [(command, run_line(command)) for command in tried_commands()]
+    return [(command.text, run_line(command.text)) for command in TRIED]
 
 
 def results_of(results, word):
@@ -122,6 +117,14 @@ def test_every_line_to_try_was_looked_at(results):
     assert len(results) == 7
     assert [result.returncode for _, result in results] == [
         0, 0, 0, 0, 0, 0, STATUS_EXIT + INVALID_ARGUMENT]
+
+
+def test_lines_print_what_the_document_shows(results):
+    shown = [command.shown for command in TRIED]
+    assert sum(text is not None for text in shown) >= 4
+    for (command, result), text in zip(results, shown):
+        assert text is None or is_shown(text, result.stdout + result.stderr), (
+            command, result)
 
 
 def test_lines_may_be_run_again(results, run_line):

@@ -10,6 +10,7 @@ import subprocess
 import grpc
 import pytest
 
+from documents import commands, is_shown
 from revisit_server import (BIN, RUN_SECONDS, Server, clean_environment, run,
                             wait_until)
 from stubs import PROTO, ROOT, api
@@ -499,11 +500,8 @@ def test_loss_of_data_is_accepted(revisit, tmp_path):
     assert revisit("vehicle", "delete", "cli-loss", "--yes").returncode == 0
 
 
-def tried_lines():
-    """Lines of docs/try.md between its two markers, each one string."""
-    block = re.search(r"<!-- revisit -->\n```sh\n(.*?)```\n<!-- /revisit -->",
-                      (ROOT / "docs/try.md").read_text(), re.DOTALL).group(1)
-    return block.replace("\\\n", "").splitlines()
+TRIED = [command for command in commands(ROOT / "docs/try.md")
+         if command.marker == "revisit"]
 
 
 @pytest.fixture(scope="module")
@@ -515,11 +513,13 @@ def run_line(tmp_path_factory):
     (home / "build/release").mkdir(parents=True)
     (home / "build/release/bin").symlink_to(BIN)
     (home / "tests").symlink_to(ROOT / "tests")
+    (home / "tmp").mkdir()
     with Server(home / "store") as server:
         def call(line):
             return subprocess.run(
-                ["bash", "-c", line], cwd=home, capture_output=True, text=True,
-                env=clean_environment(REVISIT_SERVER=server.address,
+                ["bash", "-c", line.replace("/tmp/", f"{home}/tmp/")], cwd=home,
+                capture_output=True, text=True,
+                env=clean_environment(REVISIT_SERVER=server.address, COLUMNS="88",
                                       PATH=f"{BIN}:{os.environ['PATH']}"),
                 timeout=RUN_SECONDS, check=False)
         yield call
@@ -528,7 +528,7 @@ def run_line(tmp_path_factory):
 @pytest.fixture(scope="module")
 def tried_results(run_line):
     """Results of its lines, in their order."""
-    return [(line, run_line(line)) for line in tried_lines()]
+    return [(command.text, run_line(command.text)) for command in TRIED]
 
 
 def test_lines_to_try_work_in_their_order(tried_results):
@@ -539,6 +539,13 @@ def test_lines_to_try_work_in_their_order(tried_results):
         assert result.stdout or "--output" in line, line
 
 
+def test_lines_to_try_print_what_the_document_shows(tried_results):
+    for command, (line, result) in zip(TRIED, tried_results):
+        assert command.shown is None or is_shown(
+            command.shown, result.stdout + result.stderr), (line, result)
+    assert sum(command.shown is not None for command in TRIED) >= 5
+
+
 def test_lines_to_try_confirm_and_reject_what_they_found(tried_results):
     results = {line.split()[1]: (line.split(), result.stdout)
                for line, result in tried_results}
@@ -547,9 +554,11 @@ def test_lines_to_try_confirm_and_reject_what_they_found(tried_results):
     _, _, _, same_query, rejected, *_ = results["reject"][0]
     assert query == same_query
     assert f"sequence {query}, " in found
-    assert re.search(rf"^ +1 +{confirmed} .* ACCEPTED$", found, re.MULTILINE)
-    assert re.search(rf"^ +\d+ +{rejected} .* REJECTED_\w+$", found,
-                     re.MULTILINE)
+    verdicts = dict(re.findall(r"^  SEQUENCE +(\d+) .*?VERDICT (\w+)$", found,
+                               re.DOTALL | re.MULTILINE))
+    assert list(verdicts)[0] == confirmed
+    assert verdicts[confirmed] == "ACCEPTED"
+    assert verdicts[rejected].startswith("REJECTED_")
 
 
 # Those that need no file, and leave the vehicle there.

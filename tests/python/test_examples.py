@@ -4,6 +4,9 @@ and the lines of its README."""
 import json
 import re
 import shutil
+import subprocess
+import sys
+import textwrap
 
 import nbclient
 import nbformat
@@ -11,7 +14,8 @@ import numpy as np
 import pytest
 
 import revisit
-from conftest import BOREAS, ROOT
+from conftest import BOREAS, LONG, ROOT
+from documents import commands, is_shown
 
 PACKAGE = ROOT / "client/python"
 NOTEBOOK = PACKAGE / "examples/boreas.ipynb"
@@ -56,7 +60,8 @@ def blocks(path):
                       path.read_text(), re.DOTALL | re.MULTILINE)
 
 
-@pytest.mark.parametrize("document", ["client/python/README.md", "docs/integrate.md"])
+@pytest.mark.parametrize("document", ["client/python/README.md", "docs/integrate.md",
+                                      "docs/verifier.md"])
 def test_the_lines_of_documents_run(document, server, client, boreas, tmp_path,
                                     monkeypatch, capsys, caplog):
     poses, columns = boreas
@@ -86,3 +91,29 @@ def test_the_lines_of_documents_run(document, server, client, boreas, tmp_path,
                 f"{record.getMessage()}\n" for record in caplog.records)
             assert said.replace(vehicle, "shuttle-7") == shown
         assert client.get_vehicle(vehicle).durable_sequence > 0
+
+
+def test_the_verifier_is_the_one_that_its_document_shows():
+    shown = re.findall(r"^```py\n(.*?)^```", (ROOT / "docs/verifier.md").read_text(),
+                       re.DOTALL | re.MULTILINE)
+    text = (PACKAGE / "examples/verifier.py").read_text()
+    assert len(shown) == 2
+    assert all(textwrap.indent(block, "    ") in text for block in shown)
+
+
+def test_the_verifier_prints_what_its_document_shows(server, client):
+    [command] = [command for command in commands(ROOT / "docs/verifier.md")
+                 if command.marker == "verifier"]
+    program, script, *words = command.text.split()
+    assert program == "python3"
+    ran = subprocess.run(
+        [sys.executable, ROOT / script,
+         *(word.replace("127.0.0.1:50051", server.address) for word in words)],
+        capture_output=True, text=True, timeout=LONG, check=False)
+    assert ran.returncode == 0, ran.stderr
+    assert is_shown(command.shown, ran.stdout), ran.stdout
+    vehicle = words[-1]
+    confirmed = list(client.list_loop_closures(vehicle))
+    assert all(closure.HasField("measurement") for closure in confirmed)
+    assert len(confirmed) > 100
+    assert len(list(client.list_rejected_candidates(vehicle))) > 0
