@@ -1,16 +1,21 @@
 #include "client/answers/candidate_text.h"
 
 #include <algorithm>
+#include <cstddef>
+#include <iterator>
 #include <utility>
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "client/answers/deviation_text.h"
 #include "client/answers/exact_text.h"
 #include "client/answers/names.h"
 #include "client/terminal/terminal.h"
 
 namespace revisit::client {
 namespace {
+
+using C = v1::Candidate;
 
 // ", 2020-11-26T18:58:17.528Z (1606417097.528 s)", empty without a stamp.
 std::string TimeOf(const v1::Node& node) {
@@ -98,7 +103,6 @@ class Columns {
 
 void AddPlaceColumns(const v1::CandidateSet& set, Columns* columns) {
   using Align = Table::Align;
-  using C = v1::Candidate;
   columns->Add("RANK", Align::kRight,
                [](const C& c) { return absl::StrCat(c.rank()); });
   columns->Add("SEQUENCE", Align::kRight,
@@ -129,7 +133,6 @@ void AddPlaceColumns(const v1::CandidateSet& set, Columns* columns) {
 
 void AddJudgementColumns(Columns* columns) {
   using Align = Table::Align;
-  using C = v1::Candidate;
   columns->Add("GATE", Align::kLeft,
                [](const C& c) { return DecidingGateOf(c).name(); });
   const auto number = [](double DecidingGate::*value, int digits) {
@@ -153,6 +156,81 @@ void AddJudgementColumns(Columns* columns) {
   });
   columns->Add("VERDICT", Align::kLeft,
                [](const C& c) { return NameOf(c.verdict()); });
+}
+
+// A number of a candidate beyond the gate that decided.
+struct WideColumn {
+  const char* title;
+  int digits;
+  // Whether a candidate has the number.
+  bool (*has)(const C&);
+  double (*number)(const C&);
+};
+
+bool Always(const C&) { return true; }
+bool HasOdds(const C& c) { return c.has_odds_to_runner_up(); }
+bool HasPath(const C& c) { return c.has_path_gate(); }
+bool HasShape(const C& c) { return c.has_shape(); }
+bool HasDifference(const C& c) { return c.has_difference(); }
+
+constexpr WideColumn kSearchColumns[] = {
+    {"SCORE", 4, &Always, [](const C& c) { return c.score(); }},
+    {"ODDS", 2, &HasOdds, [](const C& c) { return c.odds_to_runner_up(); }},
+    {"HEADING rad", 4, &Always,
+     [](const C& c) { return c.matched().pose().heading_radians(); }},
+    {"DX m", 2, &HasDifference,
+     [](const C& c) { return c.difference().x_meters(); }},
+    {"DY m", 2, &HasDifference,
+     [](const C& c) { return c.difference().y_meters(); }},
+    {"DZ m", 2, &HasDifference,
+     [](const C& c) { return c.difference().z_meters(); }},
+    {"DHEADING rad", 4, &HasDifference,
+     [](const C& c) { return c.difference().heading_radians(); }}};
+
+constexpr const char* kDeviationTitles[] = {"SD DX m", "SD DY m", "SD DZ m",
+                                            "SD DHEADING rad"};
+
+constexpr WideColumn kGateColumns[] = {
+    {"END D2", 3, &Always,
+     [](const C& c) { return c.gate().squared_mahalanobis_distance(); }},
+    {"END DOF", 0, &Always,
+     [](const C& c) {
+       return static_cast<double>(c.gate().degrees_of_freedom());
+     }},
+    {"END THRESHOLD", 3, &Always,
+     [](const C& c) { return c.gate().threshold(); }},
+    {"END P-VALUE", 4, &Always, [](const C& c) { return c.gate().p_value(); }},
+    {"INFLATION", 2, &Always, [](const C& c) { return c.gate().inflation(); }},
+    {"PATH D2", 3, &HasPath,
+     [](const C& c) { return c.path_gate().squared_mahalanobis_distance(); }},
+    {"PATH DOF", 1, &HasPath,
+     [](const C& c) { return c.path_gate().degrees_of_freedom(); }},
+    {"PATH THRESHOLD", 3, &HasPath,
+     [](const C& c) { return c.path_gate().threshold(); }},
+    {"PATH P-VALUE", 4, &HasPath,
+     [](const C& c) { return c.path_gate().p_value(); }},
+    {"PATH END D2", 3, &HasPath,
+     [](const C& c) {
+       return c.path_gate().end_squared_mahalanobis_distance();
+     }},
+    {"OVERLAP m", 1, &HasShape,
+     [](const C& c) { return c.shape().overlap_meters(); }},
+    {"LOG RATIO", 2, &HasShape,
+     [](const C& c) { return c.shape().log_likelihood_ratio(); }}};
+
+void AddWideColumns(Columns* columns) {
+  const auto add = [columns](const WideColumn& column) {
+    columns->Add(column.title, Table::Align::kRight, [&column](const C& c) {
+      return column.has(c) ? Fixed(column.number(c), column.digits) : "-";
+    });
+  };
+  for (const WideColumn& column : kSearchColumns) add(column);
+  for (std::size_t i = 0; i < std::size(kDeviationTitles); ++i) {
+    columns->Add(kDeviationTitles[i], Table::Align::kRight, [i](const C& c) {
+      return DeviationTexts(c.difference().covariance())[i];
+    });
+  }
+  for (const WideColumn& column : kGateColumns) add(column);
 }
 
 }  // namespace
@@ -196,6 +274,13 @@ void PrintCheck(const v1::CandidateSet& set, std::ostream& out) {
   out << NameOf(best.verdict()) << '\n';
 }
 
+void PrintPairs(const v1::CandidateSet& set, std::ostream& out) {
+  for (const v1::Candidate& candidate : set.candidates()) {
+    out << set.query().sequence() << '-' << candidate.matched().sequence()
+        << '\n';
+  }
+}
+
 void PrintCandidates(const v1::CandidateSet& set, const Terminal& terminal) {
   std::ostream& out = terminal.out;
   PrintQuery(set, out);
@@ -207,6 +292,7 @@ void PrintCandidates(const v1::CandidateSet& set, const Terminal& terminal) {
   Columns columns(set);
   AddPlaceColumns(set, &columns);
   AddJudgementColumns(&columns);
+  if (terminal.wide()) AddWideColumns(&columns);
   columns.Print(terminal);
   PrintScale(set, out);
 }

@@ -31,7 +31,12 @@ DecidingGate DecidingGateOf(const v1::Candidate& candidate);
 // A line for one check of a stream: its first candidate.
 void PrintCheck(const v1::CandidateSet& set, std::ostream& out);
 
-// A table of all candidates below what is known of the query.
+// The sequences of each candidate's query and matched node, "2068-1072", each
+// on a line: the id under which a loop closure of the two is kept.
+void PrintPairs(const v1::CandidateSet& set, std::ostream& out);
+
+// A table of all candidates below what is known of the query. Where the
+// terminal is wide, it has every number of a candidate, and both gates.
 void PrintCandidates(const v1::CandidateSet& set, const Terminal& terminal);
 
 }  // namespace revisit::client

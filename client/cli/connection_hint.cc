@@ -3,14 +3,24 @@
 #include "absl/strings/str_cat.h"
 
 namespace revisit::client {
+namespace {
 
-std::string ConnectionHint(const absl::Status& status,
-                           const ChannelOptions& options) {
-  // Only the message of gRPC distinguishes these causes.
+// Only the message of gRPC distinguishes the causes.
+bool Says(const absl::Status& status, const char* words) {
+  return status.message().find(words) != absl::string_view::npos;
+}
+
+bool IsWithoutConnection(const absl::Status& status) {
+  return absl::IsUnavailable(status) && (Says(status, "failed to connect") ||
+                                         Says(status, "DNS resolution failed"));
+}
+
+// A question at what may be wrong.
+std::string Question(const absl::Status& status,
+                     const ChannelOptions& options) {
   const auto says = [&status](const char* words) {
-    return status.message().find(words) != absl::string_view::npos;
+    return Says(status, words);
   };
-  if (!absl::IsUnavailable(status) || !says("failed to connect")) return "";
   if (says("Connection refused")) {
     return absl::StrCat("(is revisitd running at ", options.address,
                         "? --server and REVISIT_SERVER name another address)");
@@ -30,6 +40,25 @@ std::string ConnectionHint(const absl::Status& status,
            "--tls-cert)";
   }
   return "";
+}
+
+}  // namespace
+
+std::string ConnectionHint(const absl::Status& status,
+                           const ChosenServer& server) {
+  if (absl::IsUnauthenticated(status)) return ContextHint(server);
+  if (!IsWithoutConnection(status)) return "";
+  const std::string question = Question(status, server.options);
+  const std::string context = ContextHint(server);
+  return absl::StrCat(question, question.empty() || context.empty() ? "" : "\n",
+                      context);
+}
+
+std::string ContextHint(const ChosenServer& server) {
+  if (server.context.empty()) return "";
+  return absl::StrCat("(the context ", server.context, " in ",
+                      server.contexts_path, ", chosen by ", server.chosen_by,
+                      ", names the server ", server.options.address, ")");
 }
 
 }  // namespace revisit::client

@@ -47,6 +47,16 @@ CLI::Validator FiniteNumber(bool positive = false) {
           ""};
 }
 
+CLI::Validator OneOf(const std::vector<std::string>& words) {
+  return {[words](std::string& text) {
+            return std::find(words.begin(), words.end(), text) != words.end()
+                       ? std::string()
+                       : absl::StrCat("got \"", text, "\"; allowed is ",
+                                      absl::StrJoin(words, ", "));
+          },
+          ""};
+}
+
 // The command that the words lead to so far.
 const CLI::App* ChosenOf(const CLI::App* app) {
   while (!app->get_subcommands().empty()) app = app->get_subcommands().front();
@@ -88,6 +98,11 @@ std::string MistypedFlag(const std::vector<std::string>& words,
   }
   const std::string flag = found->substr(0, found->find('='));
   const std::string meant = Suggestion(flag, known);
+  if (meant == flag) {
+    return absl::StrCat("got \"", flag,
+                        "\" before the command; it stands behind ",
+                        PathOf(chosen));
+  }
   return absl::StrCat("got \"", flag, "\", which is no flag of ",
                       PathOf(chosen),
                       meant.empty() ? "" : "; did you mean " + meant + "?");
@@ -288,7 +303,7 @@ Flag Command::AddChoice(const std::string& name, const Words& words,
   };
   return Flag(app_->add_option_function<std::string>(name, set_word, help)
                   ->type_name(type)
-                  ->check(CLI::IsMember(known).description(""))
+                  ->check(OneOf(known))
                   ->group(heading_));
 }
 
@@ -361,29 +376,91 @@ Flag Command::AddWholeNumber(const std::string& name, const WholeRange& range,
           ->group(heading_));
 }
 
-bool Command::Given(const std::string& name) const {
+// The command itself or the one above it that has this flag; null if none has.
+const CLI::App* Command::OwnerOf(const std::string& name) const {
   for (const CLI::App* app = app_; app != nullptr; app = app->get_parent()) {
-    if (const CLI::Option* flag = app->get_option_no_throw(name)) {
-      return flag->count() > 0;
-    }
+    if (app->get_option_no_throw(name) != nullptr) return app;
   }
-  return false;
+  return nullptr;
+}
+
+bool Command::Given(const std::string& name) const {
+  const CLI::App* const owner = OwnerOf(name);
+  return owner != nullptr && owner->get_option_no_throw(name)->count() > 0;
+}
+
+bool Command::Typed(const std::string& name) const {
+  const CLI::App* const owner = OwnerOf(name);
+  if (owner == nullptr) return false;
+  // What the environment gives is not among the options that were parsed.
+  const std::vector<CLI::Option*>& typed = owner->parse_order();
+  return std::find(typed.begin(), typed.end(),
+                   owner->get_option_no_throw(name)) != typed.end();
+}
+
+bool Command::AsksForJson() const {
+  return shared_->chosen.format == OutputFormat::kJson;
+}
+
+void Command::AlsoPrints(const std::vector<OutputFormat>& formats) const {
+  shared_->formats[app_] = formats;
+}
+
+void Command::AddOutputFormat() const {
+  Words words = {{"json", static_cast<int>(OutputFormat::kJson)},
+                 {"text", static_cast<int>(OutputFormat::kText)}};
+  std::string help = "What is printed: JSON, or text for people";
+  for (const OutputFormat format : shared_->formats[app_]) {
+    const bool wide = format == OutputFormat::kWide;
+    words.emplace(wide ? "wide" : "name", static_cast<int>(format));
+    help += wide ? "; wide is text with all columns" : "; name is names alone";
+  }
+  OutputFormat* const chosen = &shared_->chosen.format;
+  Under("Output").AddChoice("-o", words, chosen, help);
+  // Shells teach that -o=json is the same as -o json.
+  app_->get_option("-o")->transform(CLI::Validator(
+      [](std::string& word) {
+        if (!word.empty() && word.front() == '=') word.erase(0, 1);
+        return std::string();
+      },
+      ""));
+}
+
+void Command::Runs(const std::function<void()>& choose,
+                   const Check& check) const {
+  AddOutputFormat();
+  const Check formats = [command = *this]() -> std::string {
+    return command.Given("-o") && command.Given("--json")
+               ? "-o, --json: one of them only"
+               : "";
+  };
+  app_->callback([choose, check, formats] {
+    Apply(formats);
+    Apply(check);
+    choose();
+  });
 }
 
 void Command::Runs(Run run, Check check) const {
-  app_->callback([chosen = &shared_->chosen, run = std::move(run),
-                  check = std::move(check)] {
-    Apply(check);
-    chosen->run = run;
-  });
+  Runs([chosen = &shared_->chosen, run = std::move(run)] { chosen->run = run; },
+       std::move(check));
 }
 
 void Command::RunsAlone(RunAlone run, Check check) const {
-  app_->callback([chosen = &shared_->chosen, run = std::move(run),
-                  check = std::move(check)] {
-    Apply(check);
-    chosen->run_alone = run;
-  });
+  Runs([chosen = &shared_->chosen,
+        run = std::move(run)] { chosen->run_alone = run; },
+       std::move(check));
+}
+
+bool AsksForJson(int argc, const char* const* argv) {
+  for (int i = 1; i < argc; ++i) {
+    const std::string word = argv[i];
+    if (word == "--json" || word == "-ojson" || word == "-o=json") return true;
+    if (word == "-o" && i + 1 < argc && argv[i + 1] == std::string("json")) {
+      return true;
+    }
+  }
+  return false;
 }
 
 CommandLine::CommandLine(const CommandHelp& help)
@@ -392,6 +469,13 @@ CommandLine::CommandLine(const CommandHelp& help)
   shared_.helps[app_.get()] = help;
   app_->set_help_flag("-h,--help", "Print the help of the command");
   app_->set_version_flag("--version", "", "Print the version");
+  program_.AddSwitch(
+      "--json",
+      [chosen = &shared_.chosen](bool) {
+        chosen->format = OutputFormat::kJson;
+      },
+      "The same as -o json: print JSON; messages of the service as protobuf "
+      "JSON");
   // All commands inherit what follows.
   app_->fallthrough();
 }

@@ -98,6 +98,8 @@ struct CommandHelp {
 
 // The outcome of a command line.
 struct ParsedLine {
+  // What -o or --json ask for.
+  OutputFormat format = OutputFormat::kText;
   // The help of this command, if it has a value.
   std::optional<CommandUsage> help;
   // The version of the program.
@@ -183,11 +185,20 @@ class Command {
                       std::function<void(std::int64_t)> set,
                       const std::string& help) const;
 
-  // Whether this flag, of the command or of one above it, was given.
+  // Whether this flag, of the command or of one above it, was given: on the
+  // command line, or by its environment variable.
   bool Given(const std::string& name) const;
+  // Whether it was given on the command line.
+  bool Typed(const std::string& name) const;
+  // Whether -o or --json ask for JSON.
+  bool AsksForJson() const;
+
+  // Lets -o take these words beside "json" and "text", which it takes
+  // everywhere. To be called before Runs().
+  void AlsoPrints(const std::vector<OutputFormat>& formats) const;
 
   // Makes `run` what is to be run when this command was chosen and `check`
-  // finds nothing wrong.
+  // finds nothing wrong, and gives the command the flag -o.
   void Runs(Run run, Check check = nullptr) const;
   void RunsAlone(RunAlone run, Check check = nullptr) const;
 
@@ -197,11 +208,18 @@ class Command {
   struct Shared {
     ParsedLine chosen;
     std::map<const CLI::App*, CommandHelp> helps;
+    // The formats that a command has beside text and JSON.
+    std::map<const CLI::App*, std::vector<OutputFormat>> formats;
   };
 
   Flag AddNumbers(const std::string& name, const std::string& type,
                   std::vector<double>* values, const std::string& help,
                   bool positive) const;
+
+  const CLI::App* OwnerOf(const std::string& name) const;
+  void AddOutputFormat() const;
+  // Calls `choose` when this command was chosen and nothing is wrong.
+  void Runs(const std::function<void()>& choose, const Check& check) const;
 
   Command(CLI::App* app, Shared* shared) : app_(app), shared_(shared) {}
 
@@ -210,7 +228,12 @@ class Command {
   std::string heading_ = "Options";
 };
 
-// The program's name, its flags and its commands.
+// Whether the words of a command line ask for JSON, also where the line cannot
+// be parsed.
+bool AsksForJson(int argc, const char* const* argv);
+
+// The program's name, its flags and its commands. Every program has --help,
+// --version and --json.
 class CommandLine {
  public:
   explicit CommandLine(const CommandHelp& help);

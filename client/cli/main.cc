@@ -2,10 +2,10 @@
 
 #include <unistd.h>
 
-#include <algorithm>
 #include <iostream>
 #include <string>
 
+#include "client/cli/commands/context_command.h"
 #include "client/cli/commands/convert_command.h"
 #include "client/cli/commands/demo_command.h"
 #include "client/cli/commands/evaluate_command.h"
@@ -22,6 +22,7 @@
 #include "client/cli/commands/stream_command.h"
 #include "client/cli/commands/vehicle_command.h"
 #include "client/cli/commands/verify_command.h"
+#include "client/cli/connection_flags.h"
 #include "client/cli/connection_hint.h"
 #include "client/cli/flags.h"
 #include "client/cli/usage/help_text.h"
@@ -53,46 +54,9 @@ constexpr char kNotes[] =
     "  130     interrupted\n\n"
     "revisit COMMAND --help tells more.";
 
-// Flags that every command takes.
-struct GlobalFlags {
-  ChannelOptions channel;
-  bool json = false;
-};
-
-void AddGlobalFlags(const Command& program, GlobalFlags* flags) {
-  ChannelOptions& channel = flags->channel;
-  // A server listens here by default.
-  channel.address = "127.0.0.1:50051";
-  program.AddText("--server", "ADDR", &channel.address, "Address of the server")
-      .OrEnvironment("REVISIT_SERVER")
-      .ShowDefault();
-  const Flag authorities =
-      program
-          .AddText(
-              "--tls-ca", "FILE", &channel.tls_authorities_file,
-              "Speak TLS; who may have issued the server's certificate (PEM)")
-          .OrEnvironment("REVISIT_TLS_CA");
-  const Flag certificate =
-      program
-          .AddText("--tls-cert", "FILE", &channel.tls_certificate_file,
-                   "Certificate of this client (PEM)")
-          .OrEnvironment("REVISIT_TLS_CERT");
-  const Flag key = program
-                       .AddText("--tls-key", "FILE", &channel.tls_key_file,
-                                "Private key of --tls-cert (PEM)")
-                       .OrEnvironment("REVISIT_TLS_KEY");
-  certificate.Needs(key).Needs(authorities);
-  key.Needs(certificate);
-  program
-      .AddText("--token-file", "FILE", &channel.token_file,
-               "Bearer token; read again for each call")
-      .OrEnvironment("REVISIT_TOKEN_FILE");
-  program.AddSwitch("--json", &flags->json,
-                    "Print JSON; messages of the service as protobuf JSON");
-}
-
 // In the order of the help.
-void AddCommands(const Command& program, const UsageSource& usage) {
+void AddCommands(const Command& program, const ConnectionFlags* connection,
+                 const UsageSource& usage) {
   AddVehicleCommand(program);
   AddStreamCommand(program);
   AddFindCommand(program);
@@ -108,6 +72,7 @@ void AddCommands(const Command& program, const UsageSource& usage) {
   AddConvertCommand(program);
   AddEvaluateCommand(program);
   AddDemoCommand(program);
+  AddContextCommand(program, connection);
   AddInfoCommand(program);
   AddHealthCommand(program);
   AddCompletionCommand(program, usage);
@@ -115,7 +80,22 @@ void AddCommands(const Command& program, const UsageSource& usage) {
   AddManPagesCommand(program, usage, {kBuildDate, "revisit " REVISIT_VERSION});
 }
 
-absl::Status RunChosen(const ParsedLine& line, const ChannelOptions& options,
+absl::Status RunWithServer(const Run& run, const ChosenServer& server,
+                           const Terminal& terminal) {
+  const auto channel = MakeChannel(server.options);
+  if (!channel.ok()) {
+    const absl::Status error = LocalError(channel.status());
+    const std::string context = ContextHint(server);
+    return context.empty() ? error : WithHint(error, context);
+  }
+  const absl::Status status =
+      run({server.options, *channel, Client(*channel)}, terminal);
+  const std::string hint = ConnectionHint(status, server);
+  return hint.empty() ? status : WithHint(status, hint);
+}
+
+absl::Status RunChosen(const ParsedLine& line, const Command& program,
+                       const ConnectionFlags& connection,
                        const Terminal& terminal) {
   if (line.version) {
     terminal.out << "revisit " << kVersionText << '\n';
@@ -126,15 +106,13 @@ absl::Status RunChosen(const ParsedLine& line, const ChannelOptions& options,
     return absl::OkStatus();
   }
   if (line.run_alone != nullptr) return line.run_alone(terminal);
-  const auto channel = MakeChannel(options);
-  if (!channel.ok()) return LocalError(channel.status());
-  return line.run({options, *channel, Client(*channel)}, terminal);
+  const auto server = ChooseServer(program, connection);
+  if (!server.ok()) return server.status();
+  return RunWithServer(line.run, *server, terminal);
 }
 
-void ReportError(const absl::Status& error, const GlobalFlags& flags) {
-  const std::string hint = ConnectionHint(error, flags.channel);
-  const absl::Status status = hint.empty() ? error : WithHint(error, hint);
-  if (flags.json) {
+void ReportError(const absl::Status& status, bool json) {
+  if (json) {
     std::cerr << ErrorToJson(status) << '\n';
     return;
   }
@@ -143,31 +121,25 @@ void ReportError(const absl::Status& error, const GlobalFlags& flags) {
             << ErrorText(status) << '\n';
 }
 
-// Also where the command line cannot be parsed.
-bool AsksForJson(int argc, const char* const* argv) {
-  const std::string json = "--json";
-  return std::find(argv, argv + argc, json) != argv + argc;
-}
-
 int Main(int argc, const char* const* argv) {
-  GlobalFlags flags;
+  ConnectionFlags connection;
   CommandLine command_line({"revisit", kSummary, "", kExamples, kNotes});
-  AddGlobalFlags(command_line.program(), &flags);
-  AddCommands(command_line.program(),
+  AddConnectionFlags(command_line.program(), &connection);
+  AddCommands(command_line.program(), &connection,
               [&command_line] { return command_line.Usage(); });
   const auto line = command_line.Parse(argc, argv);
   if (!line.ok()) {
-    flags.json = AsksForJson(argc, argv);
-    ReportError(line.status(), flags);
+    ReportError(line.status(), AsksForJson(argc, argv));
     return ExitCodeOf(line.status());
   }
   const Terminal terminal = {std::cout, std::cerr, isatty(STDERR_FILENO) == 1,
-                             flags.json, TerminalWidth(STDOUT_FILENO)};
-  absl::Status status = RunChosen(*line, flags.channel, terminal);
+                             line->format, TerminalWidth(STDOUT_FILENO)};
+  absl::Status status =
+      RunChosen(*line, command_line.program(), connection, terminal);
   if (std::cout.flush(); status.ok() && !std::cout) {
     status = LocalError(absl::UnknownError("the output cannot be written"));
   }
-  if (!status.ok()) ReportError(status, flags);
+  if (!status.ok()) ReportError(status, terminal.json());
   return ExitCodeOf(status);
 }
 

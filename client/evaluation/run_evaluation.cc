@@ -181,7 +181,7 @@ class Evaluation {
  private:
   absl::Status WriteOut(const Report& report) const {
     const MethodResult& main = report.methods[report.main];
-    if (options_.verbose && !terminal_.json) {
+    if (options_.verbose && !terminal_.json()) {
       for (const DriveResult& result : main.drives) {
         PrintChecks(result, terminal_.out, terminal_.width);
       }
@@ -194,7 +194,7 @@ class Evaluation {
       const absl::Status written = WritePlots(options_, report);
       if (!written.ok()) return written;
     }
-    if (terminal_.json) {
+    if (terminal_.json()) {
       terminal_.out << ReportJson(report, options_.verbose) << '\n';
     } else {
       PrintReport(report, terminal_.out, terminal_.width);

@@ -21,15 +21,29 @@ class Message;
 
 namespace revisit::client {
 
+// The form of results. Every command has kText and kJson.
+enum class OutputFormat {
+  // For people.
+  kText,
+  // Text with all columns that there are.
+  kWide,
+  // Only the names of what the answer holds, each on a line.
+  kName,
+  kJson,
+};
+
 struct Terminal {
   std::ostream& out;
   std::ostream& progress;
   // Whether progress is drawn in place.
   bool progress_is_terminal = false;
-  // Whether results are JSON.
-  bool json = false;
+  OutputFormat format = OutputFormat::kText;
   // Columns of the terminal to which `out` leads; 0 if it leads elsewhere.
   std::size_t width = 0;
+
+  bool json() const { return format == OutputFormat::kJson; }
+  bool wide() const { return format == OutputFormat::kWide; }
+  bool names() const { return format == OutputFormat::kName; }
 };
 
 // Columns of the terminal on this descriptor; COLUMNS in the environment wins.

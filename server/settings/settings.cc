@@ -23,7 +23,8 @@ constexpr char kEnvironmentPrefix[] = "REVISIT_";
 bool BelongsToOthers(const std::string& name) {
   // REVISIT_TLS_CERT and REVISIT_TLS_KEY mean the same to both programs: what
   // they show of themselves.
-  return name == "REVISIT_SERVER" || name == "REVISIT_TLS_CA" ||
+  return name == "REVISIT_SERVER" || name == "REVISIT_CONTEXT" ||
+         name == "REVISIT_CONTEXTS_FILE" || name == "REVISIT_TLS_CA" ||
          name == "REVISIT_TOKEN_FILE" || name == "REVISIT_BIN" ||
          name.rfind("REVISIT_TEST_", 0) == 0;
 }

@@ -75,11 +75,24 @@ def test_what_is_mistyped_is_told_with_what_may_be_meant(arguments, words):
     ["find", "x", "--no-such-flag"], ["vehicle", "delete", "x"],
     ["vehicle", "update", "x"]], ids=str)
 def test_wrong_usage_is_json_where_json_is_asked_for(arguments):
-    result = run("revisit", "--json", *arguments)
-    assert (result.returncode, result.stdout) == (USAGE, "")
-    error = json.loads(result.stderr)["error"]
-    assert error["reason"] == "USAGE"
-    assert error["message"] and "--help" in error["hint"]
+    for asked in (["--json"], ["-o", "json"], ["-o=json"]):
+        result = run("revisit", *arguments, *asked)
+        assert (result.returncode, result.stdout) == (USAGE, "")
+        error = json.loads(result.stderr)["error"]
+        assert error["reason"] == "USAGE"
+        assert error["message"] and "--help" in error["hint"]
+
+
+@pytest.mark.parametrize("arguments, has", [
+    (["info"], "json, text"), (["export", "x"], "json, text"),
+    (["vehicle", "get", "x"], "json, name, text"),
+    (["poses", "list", "x"], "json, text, wide"),
+    (["find", "x"], "json, name, text, wide")], ids=str)
+def test_format_that_there_is_not_is_refused_with_what_the_command_has(
+        arguments, has):
+    result = run("revisit", *arguments, "-o", "yaml")
+    assert result.returncode == USAGE
+    assert result.stderr.startswith(f'-o: got "yaml"; allowed is {has}\n')
 
 
 POLICY = {"version": 1, "tenants": [],
@@ -143,7 +156,10 @@ def test_token_file_may_come_from_the_environment(tmp_path):
 
 
 def test_help_needs_nothing_of_what_the_variables_name(tmp_path):
-    environment = clean_environment(REVISIT_TLS_CA=str(tmp_path / "none"))
+    (tmp_path / "contexts.json").write_text("nothing like it")
+    environment = clean_environment(
+        REVISIT_TLS_CA=str(tmp_path / "none"), REVISIT_CONTEXT="none",
+        REVISIT_CONTEXTS_FILE=str(tmp_path / "contexts.json"))
     for words in (["help"], ["find", "--help"], ["--version"],
                   ["completion", "bash"]):
         assert run("revisit", *words, env=environment).returncode == 0
@@ -152,5 +168,6 @@ def test_help_needs_nothing_of_what_the_variables_name(tmp_path):
 def test_server_starts_where_the_client_has_its_variables(tmp_path):
     printed = run("revisitd", "--print-config", env=clean_environment(
         REVISIT_SERVER="x:1", REVISIT_TLS_CA="ca.pem",
-        REVISIT_TOKEN_FILE="token"))
+        REVISIT_TOKEN_FILE="token", REVISIT_CONTEXT="plant",
+        REVISIT_CONTEXTS_FILE="contexts.json"))
     assert printed.returncode == 0, printed.stderr

@@ -26,14 +26,30 @@ CASES = [
     ("revisit ", {"vehicle", "stream", "info", "help"}, False),
     ("revisit stream driv", {"drive.csv"}, True),
     ("revisit find x --vehicle ", set(), True),
+    ("revisit find x -o ", {"json", "name", "text", "wide"}, True),
+    ("revisit info -o ", {"json", "text"}, True),
+    ("revisit context u", {"use"}, True),
+    ("revisit context use ", {"plant", "yard"}, True),
+    ("revisit info --context y", {"yard"}, True),
 ]
 
 
 @pytest.fixture
 def folder(tmp_path):
-    """A folder with one file, where `revisit` is this build's."""
+    """A home with one file and two contexts, where `revisit` is this build's."""
     (tmp_path / "drive.csv").touch()
+    kept = tmp_path / ".config/revisit/contexts.json"
+    kept.parent.mkdir(parents=True)
+    kept.write_text('{"contexts": {"plant": {"server": "a:1"}, '
+                    '"yard": {"server": "b:1"}}}')
     return tmp_path
+
+
+def environment_in(folder, **extra):
+    variables = clean_environment(PATH=f"{BIN}:{os.environ['PATH']}",
+                                  HOME=str(folder), **extra)
+    variables.pop("XDG_CONFIG_HOME", None)
+    return variables
 
 
 def in_shell(shell, script, folder):
@@ -42,8 +58,7 @@ def in_shell(shell, script, folder):
     result = subprocess.run(
         [shell, *(["--norc"] if shell == "bash" else ["--no-config"]), "-c",
          script], cwd=folder, capture_output=True, text=True, timeout=RUN_SECONDS,
-        env=clean_environment(PATH=f"{BIN}:{os.environ['PATH']}",
-                              HOME=str(folder)), check=False)
+        env=environment_in(folder), check=False)
     assert (result.returncode, result.stderr) == (0, ""), result
     return result.stdout
 
@@ -98,9 +113,7 @@ def test_line_is_completed_at_the_prompt(shell, folder):
     child, terminal = pty.fork()
     if child == 0:
         os.chdir(folder)
-        os.execvpe(shell, [shell, *flags], clean_environment(
-            PATH=f"{BIN}:{os.environ['PATH']}", HOME=str(folder),
-            TERM="dumb"))
+        os.execvpe(shell, [shell, *flags], environment_in(folder, TERM="dumb"))
 
     def shown_until(words, seconds=RUN_SECONDS):
         shown = ""
@@ -118,6 +131,8 @@ def test_line_is_completed_at_the_prompt(shell, folder):
                 (b"revisit vehicle \t\t", ["accept-loss", "update"]),
                 (b"revisit find x --direction \t\t", ["either", "opposite"]),
                 (b"revisit find --direction=o\t", ["direction=opposite"]),
+                (b"revisit find x -o \t\t", ["name", "wide"]),
+                (b"revisit context use \t\t", ["plant", "yard"]),
                 (b"revisit stream driv\t", ["drive.csv"])]:
             os.write(terminal, line)
             shown_until(words)

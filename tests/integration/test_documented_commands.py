@@ -63,8 +63,13 @@ CLAIMS = [
             ("pip install", "tests/python/run", (
                 "install './client/python[rosbag,pandas,parquet,notebook]'",))),
     *claims("docs/command-line.md",
-            ("cmake --preset release", "deploy/image/Containerfile", (
-                "cmake --preset release -D BUILD_TESTING=OFF",)),
+            ("deploy/install-dependencies build", "tests/packages/run", (
+                "deploy/install-dependencies build",)),
+            ("cmake --preset release", "tests/packages/run", (
+                "cmake --preset release",)),
+            ("cmake --build", "tests/packages/run", (
+                "cmake --build --preset release",
+                "revisit revisitd revisit_usage revisit_client_package")),
             ("cmake --install", "tests/integration/test_install.py", (
                 '"cmake", "--install", BUILD, "--prefix"',))),
     *claims("docs/console.md",
@@ -72,8 +77,13 @@ CLAIMS = [
             ("deploy/demo --keep", "tests/integration/test_demo.py", (
                 '"demo", "--keep"',))),
     *claims("docs/operate.md",
-            ("cmake --preset release", "tests/run", (
-                'cmake --build --preset "$preset"',)),
+            ("deploy/install-dependencies build", "tests/packages/run", (
+                "deploy/install-dependencies build",)),
+            ("cmake --preset release", "tests/packages/run", (
+                "cmake --preset release",)),
+            ("cmake --build", "tests/packages/run", (
+                "cmake --build --preset release",
+                "revisit revisitd revisit_usage revisit_client_package")),
             ("(cd build/release && cpack", "tests/packages/run", ("cpack",)),
             ("apt-get install", "tests/packages/machine.py", (
                 '"apt-get", "install"',)),

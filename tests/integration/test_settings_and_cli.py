@@ -226,7 +226,9 @@ COMMANDS = [("vehicle", "create"), ("vehicle", "get"), ("vehicle", "list"),
             ("find",), ("confirm",), ("reject",), ("closures", "list"),
             ("closures", "delete"), ("rejections", "list"),
             ("rejections", "delete"), ("poses", "list"), ("show",),
-            ("export",), ("map",), ("revise",), ("evaluate",), ("info",)]
+            ("export",), ("map",), ("revise",), ("evaluate",), ("info",),
+            ("context", "list"), ("context", "use"), ("context", "set"),
+            ("context", "show"), ("context", "delete")]
 
 
 def test_command_line_asks_where_a_server_listens_by_default():
@@ -264,6 +266,61 @@ def test_json_is_printed_by_every_command_that_reads(driven, revisit):
     parts = [json.loads(line) for line in everything.stdout.splitlines()]
     assert set(parts[0]) == {"vehicle"}
     assert {key for part in parts[1:] for key in part} == {"node", "edge"}
+
+
+def test_json_is_the_same_by_both_of_its_names(driven, revisit):
+    for words in (["vehicle", "get"], ["poses", "list"], ["show"],
+                  ["closures", "list"], ["export"]):
+        short = revisit(*words, driven, "--json")
+        assert short.returncode == 0, short.stderr
+        assert revisit(*words, driven, "-o", "json").stdout == short.stdout
+
+
+def test_names_are_for_scripts(driven, revisit):
+    def lines(*arguments):
+        result = revisit(*arguments, "-o", "name")
+        assert result.returncode == 0, result.stderr
+        return result.stdout.splitlines()
+
+    assert f"vehicles/{driven}" in lines("vehicle", "list")
+    assert lines("vehicle", "get", driven) == [f"vehicles/{driven}"]
+    # The node that is asked at is the last one before the pose.
+    answer = json.loads(revisit("find", driven, "--sequence", 2068, "--json").stdout)
+    query, matched = answer["query"]["sequence"], answer["candidates"][0][
+        "matched"]["sequence"]
+    best = f"{query}-{matched}"
+    assert lines("find", driven, "--sequence", 2068)[0] == best
+    assert lines("vehicle", "create", "cli-named") == ["vehicles/cli-named"]
+    assert lines("vehicle", "delete", "cli-named", "--yes") == [
+        "vehicles/cli-named"]
+    # A closure has the name that its candidate had.
+    closure = f"vehicles/{driven}/loopClosures/{best}"
+    assert lines("confirm", driven, query, matched) == [closure]
+    assert lines("closures", "list", driven) == [closure]
+    assert lines("closures", "delete", driven, best) == [closure]
+
+
+def test_wide_tables_have_more_columns(driven, revisit):
+    def rows(*arguments):
+        result = revisit(*arguments, "-o", "wide")
+        assert result.returncode == 0, result.stderr
+        return result.stdout.splitlines()
+
+    revisit("vehicle", "create", "cli-wide", "--display-name", "Golf",
+            "--label", "site=north", "--label", "kind=car", "--node-spacing",
+            "0.5", "--no-use-belief", "--max-passes", 3)
+    titles, *vehicles = rows("vehicle", "list")
+    assert titles.index("LABELS") < titles.index("OTHER SETTINGS")
+    [row] = [row for row in vehicles if row.startswith("vehicles/cli-wide ")]
+    assert "Golf          kind=car,site=north  " in row
+    assert "  use-belief=false node-spacing=0.5 max-passes=3  " in row
+    # A vehicle with the server's defaults has no other settings.
+    [row] = [row for row in vehicles if row.startswith(f"vehicles/{driven} ")]
+    assert "=" not in row
+    assert "PATH P-VALUE" in "".join(rows("find", driven))
+    titles, first, *_ = rows("poses", "list", driven, "--to", 2)
+    assert titles.split()[-4:] == ["QX", "QY", "QZ", "QW"]
+    assert "SD YAW rad" in titles and len(first.split()) == 14
 
 
 @pytest.mark.parametrize("words", [["show"], ["find"], ["export"],
@@ -356,7 +413,7 @@ def test_settings_are_created_and_updated(revisit):
 def setting_flags():
     """The flags of settings, each with the default that its help states."""
     text = run("revisit", "vehicle", "create", "--help").stdout
-    text = text[text.index("Settings of the vehicle"):text.index("Examples:")]
+    text = text[text.index("Settings of the vehicle"):text.index("\nOutput:")]
     flags = {}
     for entry in re.split(r"\n(?=  --)", text)[1:]:
         stated = re.search(r"\(([a-z0-9.-]+)\)\s*$", entry)

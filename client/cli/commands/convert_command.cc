@@ -304,7 +304,7 @@ void AddConvertCommand(const Command& program) {
   AddUncertainty(command, &options->uncertainty);
   const Check check = [command, options]() -> std::string {
     options->uncertainty_given = command.Given("--uncertainty");
-    if (command.Given("--json") && !command.Given("--to")) {
+    if (command.AsksForJson() && !command.Given("--to")) {
       options->format = ConvertFormat::kJsonLines;
     }
     return CheckOptions(*options);

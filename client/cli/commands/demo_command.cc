@@ -72,12 +72,12 @@ absl::Status RunDemo(const DemoOptions& demo, const Terminal& terminal) {
   SetUsualSettings(&options.settings);
   options.uncertainty.source = UncertaintyOptions::Source::kFile;
   options.uncertainty_given = true;
-  options.verbose = terminal.json;
+  options.verbose = terminal.json();
   options.map = demo.map;
   options.vehicle = kVehicle;
   options.keep_vehicles = true;
   options.before_undoing = [&](const std::string& address) {
-    if (terminal.json) return;
+    if (terminal.json()) return;
     terminal.out << "\nThe map is in " << demo.map << ".\n"
                  << absl::Substitute(kHints, address, kVehicle,
                                      program.string())
@@ -89,7 +89,7 @@ absl::Status RunDemo(const DemoOptions& demo, const Terminal& terminal) {
     // The interrupt that ends this stops the server and ends the process.
     while (demo.keep) pause();
   };
-  if (!terminal.json) terminal.out << *drive << "\n" << kDrive << std::flush;
+  if (!terminal.json()) terminal.out << *drive << "\n" << kDrive << std::flush;
   return RunEvaluate(options, terminal);
 }
 

@@ -19,8 +19,8 @@ namespace {
 
 constexpr char kDetails[] =
     "Streams the estimates of each drive through the service; the truth is not "
-    "sent. Unless\n--server or REVISIT_SERVER names a server, a private one is "
-    "started and stopped.\n\n"
+    "sent. Unless\n--server, --context, or a variable of theirs names a "
+    "server, a private one is\nstarted and stopped.\n\n"
     "A check is a true loop if a node before the excluded recent path lies "
     "within the loop\ndistance and loop heading of the current true pose; "
     "a candidate is right by the same\ntest, in the plane also for vehicles "
@@ -287,7 +287,10 @@ void AddEvaluateCommand(const Command& program) {
   };
   const Run run = [command, flags](const Connection& server,
                                    const Terminal& terminal) {
-    if (command.Given("--server")) flags->options.server = server.options;
+    // A current context alone is no wish to fill that server with drives.
+    if (command.Given("--server") || command.Given("--context")) {
+      flags->options.server = server.options;
+    }
     return RunEvaluate(flags->options, terminal);
   };
   command.Runs(run, check);

@@ -296,8 +296,8 @@ void AddExportCommand(const Command& program) {
                   "File to write instead of standard output");
   const Check check = [command, options]() -> std::string {
     const ExportFormat format = options->format;
-    if (command.Given("--json") && format != ExportFormat::kJsonLines) {
-      return "--json: goes with --format jsonl only";
+    if (command.AsksForJson() && format != ExportFormat::kJsonLines) {
+      return "-o json, --json: go with --format jsonl only";
     }
     if (command.Given("--view") && format != ExportFormat::kTum &&
         format != ExportFormat::kKitti && format != ExportFormat::kCsv) {

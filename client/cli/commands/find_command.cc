@@ -12,11 +12,14 @@ namespace revisit::client {
 
 void AddFindCommand(const Command& program) {
   const Command command = program.AddCommand(
-      {"find", "Asks for loop-closure candidates at one pose.", "",
+      {"find", "Asks for loop-closure candidates at one pose.",
+       "-o wide has every number of a candidate. -o name has a pair of "
+       "sequences for each, asked-matched, as closures are named.",
        "  revisit find shuttle-7\n"
        "  revisit find shuttle-7 --sequence 2000 --max-candidates 10 --json\n"
        "  revisit find shuttle-7 --direction either "
-       "--acceptance-probability 0.9"});
+       "--acceptance-probability 0.9\n"
+       "  revisit find shuttle-7 -o wide"});
   const auto request = std::make_shared<v1::FindCandidatesRequest>();
   v1::CandidateOptions* const options = request->mutable_options();
   AddVehicleName(command, request->mutable_vehicle());
@@ -38,6 +41,7 @@ void AddFindCommand(const Command& program) {
       "accepted");
   AddDirection(command, options);
   AddSearchSettings(command, options);
+  command.AlsoPrints({OutputFormat::kWide, OutputFormat::kName});
   command.Runs([request](const Connection& server, const Terminal& terminal) {
     return RunFind(server.client, *request, terminal);
   });
@@ -49,8 +53,12 @@ absl::Status RunFind(const Client& client, v1::FindCandidatesRequest request,
   const auto response = client.FindCandidates(request);
   if (!response.ok()) return response.status();
   const v1::CandidateSet& set = response->candidates();
-  if (terminal.json) {
+  if (terminal.json()) {
     terminal.out << ToJson(set, true) << '\n';
+    return absl::OkStatus();
+  }
+  if (terminal.names()) {
+    PrintPairs(set, terminal.out);
     return absl::OkStatus();
   }
   PrintCandidates(set, terminal);

@@ -9,6 +9,8 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_replace.h"
+#include "client/answers/deviation_text.h"
+#include "client/answers/exact_text.h"
 #include "client/answers/names.h"
 #include "client/answers/pages.h"
 #include "client/revisit/printable_text.h"
@@ -24,6 +26,9 @@ struct Closures {
   using ListRequest = v1::ListLoopClosuresRequest;
   using DeleteRequest = v1::DeleteLoopClosureRequest;
 
+  static std::vector<OutputFormat> Formats() {
+    return {OutputFormat::kWide, OutputFormat::kName};
+  }
   static constexpr char kCommand[] = "closures";
   static constexpr char kNoun[] = "loop closure";
   static constexpr char kCollection[] = "/loopClosures/";
@@ -45,6 +50,8 @@ struct Rejections {
   using ListRequest = v1::ListRejectedCandidatesRequest;
   using DeleteRequest = v1::DeleteRejectedCandidateRequest;
 
+  // A rejection has no more columns.
+  static std::vector<OutputFormat> Formats() { return {OutputFormat::kName}; }
   static constexpr char kCommand[] = "rejections";
   static constexpr char kNoun[] = "rejection";
   static constexpr char kCollection[] = "/rejectedCandidates/";
@@ -84,30 +91,81 @@ absl::StatusOr<typename Kind::List> ListAll(const Client& client,
   return all;
 }
 
+// The columns that only -o wide shows: what the verifier measured.
+std::vector<Table::Column> WideColumns() {
+  using Align = Table::Align;
+  return {{"SCORE", Align::kRight},         {"AHEAD m", Align::kRight},
+          {"LEFT m", Align::kRight},        {"UP m", Align::kRight},
+          {"HEADING rad", Align::kRight},   {"SD AHEAD m", Align::kRight},
+          {"SD LEFT m", Align::kRight},     {"SD UP m", Align::kRight},
+          {"SD HEADING rad", Align::kRight}};
+}
+
+std::vector<std::string> WideCells(const v1::LoopClosure& closure) {
+  std::vector<std::string> cells(9, "-");
+  if (closure.has_score()) cells[0] = Exact(closure.score());
+  if (!closure.has_measurement()) return cells;
+  const v1::LoopClosureMeasurement& measured = closure.measurement();
+  const auto [x, y, z, heading] = DeviationTexts(measured.covariance());
+  return {cells[0],
+          Fixed(measured.x_meters(), 3),
+          Fixed(measured.y_meters(), 3),
+          Fixed(measured.z_meters(), 3),
+          Fixed(measured.heading_radians(), 5),
+          x,
+          y,
+          z,
+          heading};
+}
+// A rejection has no such columns.
+std::vector<std::string> WideCells(const v1::RejectedCandidate&) { return {}; }
+
+template <typename Kind>
+void PrintTable(const typename Kind::List& all, const Terminal& terminal) {
+  using Align = Table::Align;
+  std::vector<Table::Column> columns = {{"ID", Align::kLeft},
+                                        {"QUERY_SEQ", Align::kRight},
+                                        {"MATCHED_SEQ", Align::kRight},
+                                        {"CREATED", Align::kLeft}};
+  if (terminal.wide()) {
+    for (Table::Column& column : WideColumns()) {
+      columns.push_back(std::move(column));
+    }
+  }
+  // Last, since it is as long as whoever wrote it wanted.
+  columns.push_back({"NOTE", Align::kLeft});
+  Table table(std::move(columns));
+  for (const auto& item : Kind::Items(all)) {
+    std::vector<std::string> row = {
+        item.name().substr(item.name().rfind('/') + 1),
+        absl::StrCat(item.query_sequence()),
+        absl::StrCat(item.matched_sequence()),
+        google::protobuf::util::TimeUtil::ToString(item.create_time())};
+    if (terminal.wide()) {
+      for (std::string& cell : WideCells(item)) row.push_back(std::move(cell));
+    }
+    row.push_back(absl::StrReplaceAll(item.note(), {{"\n", " "}, {"\t", " "}}));
+    table.AddRow(std::move(row));
+  }
+  table.Print(terminal.out, terminal.width);
+}
+
 template <typename Kind>
 absl::Status RunList(const Client& client, const std::string& vehicle,
                      const Terminal& terminal) {
   const auto all = ListAll<Kind>(client, vehicle);
   if (!all.ok()) return all.status();
-  if (terminal.json) {
+  if (terminal.json()) {
     terminal.out << ToJson(*all, true) << '\n';
     return absl::OkStatus();
   }
-  using Align = Table::Align;
-  Table table({{"ID", Align::kLeft},
-               {"QUERY_SEQ", Align::kRight},
-               {"MATCHED_SEQ", Align::kRight},
-               {"CREATED", Align::kLeft},
-               {"NOTE", Align::kLeft}});
-  for (const auto& item : Kind::Items(*all)) {
-    table.AddRow(
-        {item.name().substr(item.name().rfind('/') + 1),
-         absl::StrCat(item.query_sequence()),
-         absl::StrCat(item.matched_sequence()),
-         google::protobuf::util::TimeUtil::ToString(item.create_time()),
-         absl::StrReplaceAll(item.note(), {{"\n", " "}, {"\t", " "}})});
+  if (terminal.names()) {
+    for (const auto& item : Kind::Items(*all)) {
+      terminal.out << Printable(item.name()) << '\n';
+    }
+    return absl::OkStatus();
   }
-  table.Print(terminal.out, terminal.width);
+  PrintTable<Kind>(*all, terminal);
   return absl::OkStatus();
 }
 
@@ -180,11 +238,13 @@ absl::Status RunDelete(const Client& client, const FindingReference& finding,
   }
   const auto response = Kind::Delete(client, request);
   if (!response.ok()) return response.status();
-  if (terminal.json) {
+  if (terminal.json()) {
     nlohmann::ordered_json json;
     json["name"] = request.name();
     json["revision"] = response->revision();
     terminal.out << JsonText(json, true) << '\n';
+  } else if (terminal.names()) {
+    terminal.out << Printable(request.name()) << '\n';
   } else {
     terminal.out << "deleted " << Printable(request.name()) << ", revision "
                  << response->revision() << '\n';
@@ -225,6 +285,7 @@ void AddFindings(const Command& program, const Help& help) {
   const Command list = group.AddCommand(help.list);
   const auto vehicle = std::make_shared<std::string>();
   list.AddText("VEHICLE", "TEXT", vehicle.get(), "Id, or name").Required();
+  list.AlsoPrints(Kind::Formats());
   list.Runs([vehicle](const Connection& server, const Terminal& terminal) {
     return RunList<Kind>(server.client, *vehicle, terminal);
   });
@@ -241,6 +302,7 @@ void AddFindings(const Command& program, const Help& help) {
                             const Terminal& terminal) {
     return RunDelete<Kind>(server.client, *finding, terminal);
   };
+  remove.AlsoPrints({OutputFormat::kName});
   remove.Runs(run, [finding] { return CheckWords(*finding); });
 }
 

@@ -55,7 +55,7 @@ absl::Status RunHealth(const Connection& server, const HealthOptions& options,
         server.options.address, " answers that ",
         options.service.empty() ? "it" : options.service, " is not serving"));
   }
-  if (terminal.json) {
+  if (terminal.json()) {
     terminal.out << nlohmann::json({{"status", "SERVING"}}).dump() << '\n';
   } else {
     terminal.out << "SERVING\n";

@@ -26,7 +26,7 @@ absl::Status RunInfo(const Client& client, const std::string& address,
                      const Terminal& terminal) {
   const auto info = client.GetServerInfo();
   if (!info.ok()) return info.status();
-  if (terminal.json) {
+  if (terminal.json()) {
     terminal.out << ToJson(*info, true) << '\n';
     return absl::OkStatus();
   }

@@ -3,8 +3,10 @@
 #include <algorithm>
 #include <memory>
 #include <optional>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "client/answers/deviation_text.h"
 #include "client/answers/names.h"
 #include "client/answers/pages.h"
 #include "client/cli/commands/shared_flags.h"
@@ -19,21 +21,21 @@ namespace {
 class PosePrinter {
  public:
   explicit PosePrinter(const Terminal& terminal) : terminal_(terminal) {
-    if (terminal_.json) terminal_.out << "{\"poses\": [";
+    if (terminal_.json()) terminal_.out << "{\"poses\": [";
   }
 
   void Print(const v1::ListPosesResponse& page, std::uint64_t last) {
     Table table = MakeTable(page);
     for (const v1::Pose& pose : page.poses()) {
       if (pose.sequence() > last) break;
-      if (terminal_.json) {
+      if (terminal_.json()) {
         terminal_.out << (first_ ? "\n" : ",\n") << ToJson(pose, false);
       } else {
         table.AddRow(Cells(pose));
       }
       first_ = false;
     }
-    if (terminal_.json) return;
+    if (terminal_.json()) return;
     if (!table.empty() || !titles_printed_) {
       table.Print(terminal_.out, terminal_.width, !titles_printed_);
     }
@@ -41,7 +43,7 @@ class PosePrinter {
   }
 
   void Finish() {
-    if (terminal_.json) terminal_.out << (first_ ? "]}\n" : "\n]}\n");
+    if (terminal_.json()) terminal_.out << (first_ ? "]}\n" : "\n]}\n");
   }
 
  private:
@@ -51,15 +53,26 @@ class PosePrinter {
     if (!titles_printed_) {
       geodetic_ = !page.poses().empty() && page.poses(0).has_geodetic();
     }
-    return Table({{"SEQUENCE", Align::kRight},
-                  {"STAMP", Align::kLeft, 24},
-                  {geodetic_ ? "LAT deg" : "X m", Align::kRight, 11},
-                  {geodetic_ ? "LON deg" : "Y m", Align::kRight, 11},
-                  {geodetic_ ? "HEIGHT m" : "Z m", Align::kRight, 8},
-                  {"YAW rad", Align::kRight, 8}});
+    std::vector<Table::Column> columns = {
+        {"SEQUENCE", Align::kRight},
+        {"STAMP", Align::kLeft, 24},
+        {geodetic_ ? "LAT deg" : "X m", Align::kRight, 11},
+        {geodetic_ ? "LON deg" : "Y m", Align::kRight, 11},
+        {geodetic_ ? "HEIGHT m" : "Z m", Align::kRight, 8},
+        {"YAW rad", Align::kRight, 8}};
+    if (terminal_.wide()) {
+      for (const char* title : {"SD X m", "SD Y m", "SD Z m"}) {
+        columns.push_back({title, Align::kRight, 9});
+      }
+      columns.push_back({"SD YAW rad", Align::kRight});
+      for (const char* title : {"QX", "QY", "QZ", "QW"}) {
+        columns.push_back({title, Align::kRight, 9});
+      }
+    }
+    return Table(std::move(columns));
   }
 
-  static std::vector<std::string> Cells(const v1::Pose& pose) {
+  std::vector<std::string> Cells(const v1::Pose& pose) const {
     std::vector<std::string> cells = {
         absl::StrCat(pose.sequence()),
         pose.has_stamp()
@@ -81,7 +94,19 @@ class PosePrinter {
                               ? HeadingOf({q.x(), q.y(), q.z(), q.w()})
                               : pose.heading_radians(),
                           5));
+    if (terminal_.wide()) AddWideCells(pose, &cells);
     return cells;
+  }
+
+  static void AddWideCells(const v1::Pose& pose,
+                           std::vector<std::string>* cells) {
+    for (std::string& deviation : DeviationTexts(pose.covariance())) {
+      cells->push_back(std::move(deviation));
+    }
+    const v1::Quaternion& q = pose.quaternion();
+    for (const double part : {q.x(), q.y(), q.z(), q.w()}) {
+      cells->push_back(pose.has_quaternion() ? Fixed(part, 6) : "-");
+    }
   }
 
   const Terminal& terminal_;
@@ -99,7 +124,8 @@ void AddPosesCommand(const Command& program) {
       {"list",
        "Lists a vehicle's poses, as they were last revised or as they were "
        "sent.",
-       "--json prints them whole, with covariances and quaternions.",
+       "-o wide shows standard deviations and quaternions too; -o json has "
+       "the poses whole, with their covariances.",
        "  revisit poses list shuttle-7\n"
        "  revisit poses list shuttle-7 --from 1000 --to 1010 --json"});
   const auto options = std::make_shared<PosesListOptions>();
@@ -113,6 +139,7 @@ void AddPosesCommand(const Command& program) {
                             const Terminal& terminal) {
     return RunPosesList(server.client, *options, terminal);
   };
+  list.AlsoPrints({OutputFormat::kWide});
   list.Runs(run, [options]() -> std::string {
     return options->from > options->to
                ? absl::StrCat("--from: got ", options->from,

@@ -192,7 +192,7 @@ class Messages {
 // `missing` poses of the file are not among those that are kept.
 void Report(const v1::RevisePosesResponse& revised, const std::string& vehicle,
             std::int64_t missing, const Terminal& terminal) {
-  if (terminal.json) {
+  if (terminal.json()) {
     terminal.out << ToJson(revised, true) << '\n';
     return;
   }

@@ -111,7 +111,7 @@ absl::Status RunShow(const Client& client, const std::string& id,
         return absl::OkStatus();
       });
   if (!status.ok()) return status;
-  if (terminal.json) {
+  if (terminal.json()) {
     PrintJson(graph, terminal.out);
     return absl::OkStatus();
   }

@@ -55,7 +55,7 @@ PoseStreamCallbacks MakeCallbacks(Tally* tally, Progress* progress,
   callbacks.candidates = [tally, &terminal](const v1::CandidateSet& set) {
     const MutexLock lock(&tally->mutex);
     ++tally->checks;
-    if (terminal.json) {
+    if (terminal.json()) {
       terminal.out << ToJson(set, false) << '\n';
     } else {
       PrintCheck(set, terminal.out);

@@ -19,8 +19,8 @@ void Interrupt(PoseStream* stream, const std::string& vehicle, bool appended,
   terminal.out.flush();
   // A bar may stand in the line.
   if (terminal.progress_is_terminal) terminal.progress << '\n';
-  terminal.progress << (terminal.json ? ErrorToJson(status)
-                                      : "revisit: " + ErrorText(status))
+  terminal.progress << (terminal.json() ? ErrorToJson(status)
+                                        : "revisit: " + ErrorText(status))
                     << '\n'
                     << std::flush;
 }

@@ -102,7 +102,7 @@ std::string Describe(const LeftOut& left_out) {
 }
 
 void Print(const StreamSummary& summary, const Terminal& terminal) {
-  if (terminal.json) {
+  if (terminal.json()) {
     PrintJson(summary, terminal.out);
   } else {
     PrintText(summary, terminal.out);

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
 #include "client/answers/names.h"
 #include "client/answers/pages.h"
 #include "client/cli/commands/vehicle_settings.h"
@@ -46,8 +47,10 @@ void AddConsistency(const v1::Consistency& consistency, Fields* fields) {
 }
 
 absl::Status Print(const v1::Vehicle& vehicle, const Terminal& terminal) {
-  if (terminal.json) {
+  if (terminal.json()) {
     terminal.out << ToJson(vehicle, true) << '\n';
+  } else if (terminal.names()) {
+    terminal.out << Printable(vehicle.name()) << '\n';
   } else {
     PrintVehicle(vehicle, terminal);
   }
@@ -84,6 +87,7 @@ void AddCreate(const Command& vehicle) {
     return RunVehicleCreate(server.client, *id, *settings, *description,
                             terminal);
   };
+  command.AlsoPrints({OutputFormat::kName});
   command.Runs(run, [description] { return CheckDescription(*description); });
 }
 
@@ -93,6 +97,7 @@ void AddGet(const Command& vehicle) {
                           "  revisit vehicle get shuttle-7 --json"});
   const auto id = std::make_shared<std::string>();
   AddId(command, id.get());
+  command.AlsoPrints({OutputFormat::kName});
   command.Runs([id](const Connection& server, const Terminal& terminal) {
     return RunVehicleGet(server.client, *id, terminal);
   });
@@ -100,7 +105,13 @@ void AddGet(const Command& vehicle) {
 
 void AddList(const Command& vehicle) {
   const Command command = vehicle.AddCommand(
-      {"list", "Lists all vehicles.", "", "  revisit vehicle list"});
+      {"list", "Lists all vehicles.",
+       "-o wide shows labels, settings that are not what the help of create "
+       "states, and findings too.",
+       "  revisit vehicle list\n"
+       "  revisit vehicle list -o wide\n"
+       "  revisit vehicle list -o name"});
+  command.AlsoPrints({OutputFormat::kWide, OutputFormat::kName});
   command.Runs([](const Connection& server, const Terminal& terminal) {
     return RunVehicleList(server.client, terminal);
   });
@@ -131,6 +142,7 @@ void AddUpdate(const Command& vehicle) {
     return RunVehicleUpdate(server.client, *id, *changes, *description,
                             terminal);
   };
+  command.AlsoPrints({OutputFormat::kName});
   command.Runs(run, check);
 }
 
@@ -150,6 +162,7 @@ void AddAcceptLoss(const Command& vehicle) {
       .AddWholeNumber("DURABLE_SEQ", WholeRange(), durable.get(),
                       "The vehicle's durable poses, to show that you know them")
       .Required();
+  command.AlsoPrints({OutputFormat::kName});
   command.Runs(
       [id, durable](const Connection& server, const Terminal& terminal) {
         return RunVehicleAcceptLoss(server.client, *id, *durable, terminal);
@@ -210,37 +223,79 @@ void AddDelete(const Command& vehicle) {
     return RunVehicleDelete(server.client, *ids, *yes ? Ask() : &AskAtTerminal,
                             terminal);
   };
+  command.AlsoPrints({OutputFormat::kName});
   command.Runs(run, check);
 }
 
+// A map of protobuf has no order of its own.
+std::map<std::string, std::string> SortedLabels(const v1::Vehicle& vehicle) {
+  return {vehicle.labels().begin(), vehicle.labels().end()};
+}
+
 void AddLabels(const v1::Vehicle& vehicle, Fields* fields) {
-  // A map of protobuf has no order of its own.
-  const std::map<std::string, std::string> labels(vehicle.labels().begin(),
-                                                  vehicle.labels().end());
-  for (const auto& [key, value] : labels) {
+  for (const auto& [key, value] : SortedLabels(vehicle)) {
     fields->emplace_back(absl::StrCat("label ", key), value);
   }
+}
+
+// The cells that only -o wide shows, in the order of WideColumns().
+std::vector<std::string> WideCells(const v1::Vehicle& vehicle) {
+  std::vector<std::string> labels;
+  for (const auto& [key, value] : SortedLabels(vehicle)) {
+    labels.push_back(absl::StrCat(key, "=", value));
+  }
+  std::vector<std::string> findings;
+  for (const v1::Finding& finding : vehicle.findings()) {
+    findings.push_back(NameOf(finding.code()));
+  }
+  return {absl::StrCat(vehicle.node_count()),
+          Fixed(vehicle.travelled_meters(), 1),
+          absl::StrCat(vehicle.dropped_pose_count()),
+          vehicle.display_name(),
+          absl::StrJoin(labels, ","),
+          absl::StrJoin(UnusualSettings(vehicle.settings()), " "),
+          absl::StrJoin(findings, ","),
+          vehicle.uid()};
+}
+
+std::vector<Table::Column> WideColumns() {
+  using Align = Table::Align;
+  return {{"NODES", Align::kRight},   {"TRAVELLED m", Align::kRight},
+          {"DROPPED", Align::kRight}, {"DISPLAY NAME", Align::kLeft},
+          {"LABELS", Align::kLeft},   {"OTHER SETTINGS", Align::kLeft},
+          {"FINDINGS", Align::kLeft}, {"UID", Align::kLeft}};
 }
 
 void PrintTable(const v1::ListVehiclesResponse& list,
                 const Terminal& terminal) {
   using Align = Table::Align;
-  Table table({{"VEHICLE", Align::kLeft},
-               {"STATE", Align::kLeft},
-               {"POSES", Align::kRight},
-               {"REVISION", Align::kRight},
-               {"CLOSURES", Align::kRight},
-               {"SPACE", Align::kLeft},
-               {"MODEL", Align::kLeft},
-               {"CREATED", Align::kLeft}});
+  std::vector<Table::Column> columns = {
+      {"VEHICLE", Align::kLeft},   {"STATE", Align::kLeft},
+      {"POSES", Align::kRight},    {"REVISION", Align::kRight},
+      {"CLOSURES", Align::kRight}, {"SPACE", Align::kLeft},
+      {"MODEL", Align::kLeft},     {"CREATED", Align::kLeft}};
+  if (terminal.wide()) {
+    for (Table::Column& column : WideColumns()) {
+      columns.push_back(std::move(column));
+    }
+  }
+  Table table(std::move(columns));
   for (const v1::Vehicle& vehicle : list.vehicles()) {
-    table.AddRow({vehicle.name(), NameOf(vehicle.state()),
-                  absl::StrCat(vehicle.durable_sequence()),
-                  absl::StrCat(vehicle.revision()),
-                  absl::StrCat(vehicle.loop_closure_count()),
-                  NameOf(vehicle.settings().state_space()),
-                  NameOf(vehicle.settings().correlation_model()),
-                  CreateTime(vehicle)});
+    std::vector<std::string> row = {
+        vehicle.name(),
+        NameOf(vehicle.state()),
+        absl::StrCat(vehicle.durable_sequence()),
+        absl::StrCat(vehicle.revision()),
+        absl::StrCat(vehicle.loop_closure_count()),
+        NameOf(vehicle.settings().state_space()),
+        NameOf(vehicle.settings().correlation_model()),
+        CreateTime(vehicle)};
+    if (terminal.wide()) {
+      for (std::string& cell : WideCells(vehicle)) {
+        row.push_back(std::move(cell));
+      }
+    }
+    table.AddRow(std::move(row));
   }
   table.Print(terminal.out, terminal.width);
 }
@@ -367,11 +422,15 @@ absl::Status RunVehicleList(const Client& client, const Terminal& terminal) {
         return true;
       });
   if (!listed.ok()) return listed;
-  if (terminal.json) {
+  if (terminal.json()) {
     terminal.out << ToJson(all, true) << '\n';
-    return absl::OkStatus();
+  } else if (terminal.names()) {
+    for (const v1::Vehicle& vehicle : all.vehicles()) {
+      terminal.out << Printable(vehicle.name()) << '\n';
+    }
+  } else {
+    PrintTable(all, terminal);
   }
-  PrintTable(all, terminal);
   return absl::OkStatus();
 }
 
@@ -391,9 +450,11 @@ absl::Status RunVehicleDelete(const Client& client,
     const auto response = client.DeleteVehicle(request);
     if (!response.ok()) return response.status();
     deleted.push_back(name);
-    if (!terminal.json) terminal.out << "deleted " << Printable(name) << '\n';
+    if (terminal.json()) continue;
+    terminal.out << (terminal.names() ? "" : "deleted ") << Printable(name)
+                 << '\n';
   }
-  if (terminal.json) {
+  if (terminal.json()) {
     terminal.out << JsonText({{"deleted", deleted}}, true) << '\n';
   }
   return absl::OkStatus();

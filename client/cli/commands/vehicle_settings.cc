@@ -8,9 +8,11 @@
 #include <optional>
 
 #include "absl/strings/str_cat.h"
+#include "client/answers/exact_text.h"
 #include "client/answers/names.h"
 #include "client/terminal/terminal.h"
 #include "google/protobuf/descriptor.h"
+#include "google/protobuf/duration.pb.h"
 #include "google/protobuf/message.h"
 #include "google/protobuf/util/time_util.h"
 
@@ -266,6 +268,34 @@ Command UnderVehicleSettings(const Command& command) {
   return command.Under("Settings of the vehicle (and their defaults)");
 }
 
+// The value that the message has, as the flag takes it.
+std::string ValueText(const BoundSetting& setting) {
+  const Message& holder = *setting.field.HolderIn(setting.settings);
+  const google::protobuf::Reflection& fields = *holder.GetReflection();
+  const FieldDescriptor* const field = setting.field.field;
+  switch (setting.field.type()) {
+    case FieldDescriptor::CPPTYPE_ENUM: {
+      const int value = fields.GetEnumValue(holder, field);
+      for (const auto& [word, known] : setting.words) {
+        if (known == value) return word;
+      }
+      return absl::StrCat(value);
+    }
+    case FieldDescriptor::CPPTYPE_BOOL:
+      return fields.GetBool(holder, field) ? "true" : "false";
+    case FieldDescriptor::CPPTYPE_INT32:
+      return absl::StrCat(fields.GetInt32(holder, field));
+    case FieldDescriptor::CPPTYPE_MESSAGE:
+      return fields.HasField(holder, field)
+                 ? google::protobuf::util::TimeUtil::ToString(
+                       static_cast<const google::protobuf::Duration&>(
+                           fields.GetMessage(holder, field)))
+                 : setting.row->usual;
+    default:
+      return Exact(fields.GetDouble(holder, field));
+  }
+}
+
 std::string Meters(double value) { return absl::StrCat(Fixed(value, 2), " m"); }
 
 std::string Text(const v1::Retention& retention) {
@@ -311,6 +341,24 @@ void SetUsualSettings(v1::VehicleSettings* settings) {
   for (const BoundSetting& setting : Bind(settings)) {
     if (!IsRetention(setting)) SetUsual(setting);
   }
+}
+
+std::vector<std::string> UnusualSettings(const v1::VehicleSettings& settings) {
+  v1::VehicleSettings actual = settings;
+  v1::VehicleSettings usual;
+  SetUsualSettings(&usual);
+  const std::vector<BoundSetting> usual_ones = Bind(&usual);
+  const std::vector<BoundSetting> actual_ones = Bind(&actual);
+  std::vector<std::string> unusual;
+  for (std::size_t i = 0; i < actual_ones.size(); ++i) {
+    const std::string value = ValueText(actual_ones[i]);
+    if (value == ValueText(usual_ones[i])) continue;
+    // "--use-belief,!--no-use-belief" and "--frame" are the names of flags.
+    const std::string flag = actual_ones[i].row->flag;
+    unusual.push_back(
+        absl::StrCat(flag.substr(2, flag.find(',') - 2), "=", value));
+  }
+  return unusual;
 }
 
 std::vector<std::pair<std::string, std::string>> DescribeSettings(

@@ -29,6 +29,10 @@ void AddDriveSettings(const Command& command, v1::VehicleSettings* settings);
 // Sets what AddDriveSettings() sets where no flag is given.
 void SetUsualSettings(v1::VehicleSettings* settings);
 
+// The settings that are not what the help states as their defaults, as
+// "flag=value" without dashes, such as "node-spacing=0.5".
+std::vector<std::string> UnusualSettings(const v1::VehicleSettings& settings);
+
 // Names and values for people.
 std::vector<std::pair<std::string, std::string>> DescribeSettings(
     const v1::VehicleSettings& settings);

@@ -48,8 +48,10 @@ absl::Status WithUndo(const absl::Status& status, const VerifiedPair& pair,
 template <typename Response>
 void Print(const char* done, const std::string& name, const Response& response,
            const Terminal& terminal) {
-  if (terminal.json) {
+  if (terminal.json()) {
     terminal.out << ToJson(response, true) << '\n';
+  } else if (terminal.names()) {
+    terminal.out << Printable(name) << '\n';
   } else {
     terminal.out << done << " " << Printable(name) << ", revision "
                  << response.revision() << '\n';
@@ -102,6 +104,7 @@ void AddConfirmCommand(const Command& program) {
       [measured](double score) { measured->score = score; },
       "How sure the verifier is, on a scale of its own");
   const Check check = [measured] { return CheckMeasurement(*measured); };
+  command.AlsoPrints({OutputFormat::kName});
   command.Runs(
       [pair, measured](const Connection& server, const Terminal& terminal) {
         return RunConfirm(server.client, *pair, *measured, terminal);
@@ -121,6 +124,7 @@ void AddRejectCommand(const Command& program) {
   AddPair(command, pair.get());
   command.AddText("--note", "TEXT", note.get(),
                   "For people: why it is not one place, for example");
+  command.AlsoPrints({OutputFormat::kName});
   command.Runs(
       [pair, note](const Connection& server, const Terminal& terminal) {
         return RunReject(server.client, *pair, *note, terminal);
@@ -154,7 +158,7 @@ absl::Status RunConfirm(const Client& client, const VerifiedPair& pair,
   const auto response = client.AddLoopClosure(request);
   if (!response.ok()) return WithUndo(response.status(), pair, "rejections");
   Print("confirmed", response->loop_closure().name(), *response, terminal);
-  if (response->has_agreement() && !terminal.json) {
+  if (response->has_agreement() && terminal.format == OutputFormat::kText) {
     const v1::MeasurementAgreement& agreement = response->agreement();
     terminal.out << "agreement with the graph: d2 "
                  << Fixed(agreement.squared_mahalanobis_distance(), 2) << " of "

@@ -11,13 +11,14 @@ namespace revisit::client {
 namespace {
 
 // The things that may stand for a value or a word.
-enum class Kind { kNothing, kWords, kFile, kDirectory };
+enum class Kind { kNothing, kWords, kFile, kDirectory, kContext };
 
 Kind KindOf(const FlagUsage& flag) {
   if (!flag.choices.empty()) return Kind::kWords;
   for (const std::string& name : {flag.word, flag.value}) {
     if (name.rfind("FILE", 0) == 0) return Kind::kFile;
     if (name == "DIR") return Kind::kDirectory;
+    if (name == "CONTEXT") return Kind::kContext;
   }
   return Kind::kNothing;
 }
@@ -74,12 +75,11 @@ std::string PathBranches(const std::vector<const CommandUsage*>& commands) {
   return branches;
 }
 
-// Branches for the value of the flag before the cursor. `words` makes of the
-// choices what the shell offers.
-template <typename Words>
+// Branches for the value of the flag before the cursor. `offer` says what the
+// shell does to offer values of a kind, `words` what to offer choices.
+template <typename Offer, typename Words>
 std::string ValueBranches(const std::vector<const CommandUsage*>& commands,
-                          const char* files, const char* directories,
-                          const Words& words) {
+                          const Offer& offer, const Words& words) {
   std::string branches;
   for (const CommandUsage* command : commands) {
     const bool everywhere = command == commands.front();
@@ -92,24 +92,21 @@ std::string ValueBranches(const std::vector<const CommandUsage*>& commands,
                        : absl::StrCat("\"", command->path, ":", name, "\""));
       }
       const Kind kind = KindOf(flag);
-      const std::string offer =
-          kind == Kind::kWords
-              ? words(flag.choices)
-              : std::string(kind == Kind::kFile        ? files
-                            : kind == Kind::kDirectory ? directories
-                                                       : ":");
-      absl::StrAppend(&branches, "    ", absl::StrJoin(patterns, "|"), ") ",
-                      offer, "; return ;;\n");
+      absl::StrAppend(
+          &branches, "    ", absl::StrJoin(patterns, "|"), ") ",
+          kind == Kind::kWords ? words(flag.choices) : std::string(offer(kind)),
+          "; return ;;\n");
     }
   }
   return branches;
 }
 
 // The words that a command takes in their places: commands and choices, and
-// whether it takes names of files.
+// whether it takes names of files or of contexts.
 struct PlainWords {
   std::vector<std::string> words;
   bool files = false;
+  bool contexts = false;
 };
 
 PlainWords PlainWordsOf(const CommandUsage& command,
@@ -123,12 +120,29 @@ PlainWords PlainWordsOf(const CommandUsage& command,
     plain.words.insert(plain.words.end(), flag.choices.begin(),
                        flag.choices.end());
     if (KindOf(flag) == Kind::kFile) plain.files = true;
+    if (KindOf(flag) == Kind::kContext) plain.contexts = true;
     if (flag.word != "COMMAND") continue;
     for (const CommandUsage& other : program.commands) {
       if (!other.hidden) plain.words.push_back(other.name);
     }
   }
   return plain;
+}
+
+// The names of contexts, which the program itself reads from their file.
+constexpr char kContextNames[] = "revisit context list -o name 2>/dev/null";
+
+std::string BashOffer(Kind kind) {
+  switch (kind) {
+    case Kind::kFile:
+      return "_revisit_files -f";
+    case Kind::kDirectory:
+      return "_revisit_files -d";
+    case Kind::kContext:
+      return absl::StrCat("_revisit_offer -W \"$(", kContextNames, ")\"");
+    default:
+      return ":";
+  }
 }
 
 std::string BashScript(const CommandUsage& program) {
@@ -171,7 +185,7 @@ _revisit() {
   fi
   case "$command:${COMP_WORDS[i]}" in
 )",
-      ValueBranches(commands, "_revisit_files -f", "_revisit_files -d", offer),
+      ValueBranches(commands, &BashOffer, offer),
       R"(  esac
   case "$command" in
 )");
@@ -184,11 +198,12 @@ _revisit() {
     absl::StrAppend(&script, "    \"", command->path,
                     "\")\n      if [[ $cur == -* ]]; then\n        ",
                     offer(names), "\n");
-    if (plain.files || !plain.words.empty()) {
-      absl::StrAppend(
-          &script, "      else\n        ",
-          plain.files ? std::string("_revisit_files -f") : offer(plain.words),
-          "\n");
+    if (plain.files || plain.contexts || !plain.words.empty()) {
+      absl::StrAppend(&script, "      else\n        ",
+                      plain.files      ? BashOffer(Kind::kFile)
+                      : plain.contexts ? BashOffer(Kind::kContext)
+                                       : offer(plain.words),
+                      "\n");
     }
     script += "      fi ;;\n";
   }
@@ -203,6 +218,19 @@ std::string ZshEntries(
                     SingleQuoted(absl::StrCat(name, ":", help)));
   }
   return text;
+}
+
+std::string ZshOffer(Kind kind) {
+  switch (kind) {
+    case Kind::kFile:
+      return "_files";
+    case Kind::kDirectory:
+      return "_files -/";
+    case Kind::kContext:
+      return absl::StrCat("compadd -- ${(f)\"$(", kContextNames, ")\"}");
+    default:
+      return ":";
+  }
 }
 
 std::string ZshScript(const CommandUsage& program) {
@@ -228,7 +256,7 @@ _revisit() {
   fi
   case "$command:$flag" in
 )",
-      ValueBranches(commands, "_files", "_files -/", offer), R"(  esac
+      ValueBranches(commands, &ZshOffer, offer), R"(  esac
   case "$command" in
 )");
   for (const CommandUsage* command : commands) {
@@ -247,8 +275,10 @@ _revisit() {
                     ZshEntries(flags), ")\n");
     if (!below.empty()) {
       absl::StrAppend(&script, "      commands=(", ZshEntries(below), ")\n");
-    } else if (plain.files) {
-      script += "      [[ $PREFIX == -* ]] || { _files; return; }\n";
+    } else if (plain.files || plain.contexts) {
+      absl::StrAppend(&script, "      [[ $PREFIX == -* ]] || { ",
+                      ZshOffer(plain.files ? Kind::kFile : Kind::kContext),
+                      "; return; }\n");
     } else if (!plain.words.empty()) {
       absl::StrAppend(&script, "      [[ $PREFIX == -* ]] || { ",
                       offer(plain.words), "; return; }\n");
@@ -294,6 +324,9 @@ std::string FishFlag(const FlagUsage& flag, const std::string& condition) {
         break;
       case Kind::kDirectory:
         line += " -x -a '(__fish_complete_directories)'";
+        break;
+      case Kind::kContext:
+        absl::StrAppend(&line, " -x -a '(", kContextNames, ")'");
         break;
       case Kind::kNothing:
         line += " -x";
@@ -347,6 +380,9 @@ complete -c revisit -f
     const PlainWords plain = PlainWordsOf(*command, program);
     if (plain.files) {
       absl::StrAppend(&script, "complete -c revisit", at, " -F\n");
+    } else if (plain.contexts) {
+      absl::StrAppend(&script, "complete -c revisit", at, " -a '(",
+                      kContextNames, ")'\n");
     } else if (!plain.words.empty()) {
       absl::StrAppend(&script, "complete -c revisit", at, " -a ",
                       SingleQuoted(absl::StrJoin(plain.words, " ")), "\n");

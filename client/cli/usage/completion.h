@@ -10,8 +10,8 @@ namespace revisit::client {
 
 enum class Shell { kBash, kZsh, kFish };
 
-// Completes commands, flags, the words that flags take, and names of files. The
-// script needs no other and asks no server.
+// Completes commands, flags, the words that flags take, and names of files and
+// of contexts. The script needs no other and asks no server.
 std::string CompletionScript(Shell shell, const CommandUsage& program);
 
 }  // namespace revisit::client

@@ -1,5 +1,8 @@
 #include "client/cli/flags.h"
 
+#include <cstdlib>
+#include <string>
+#include <utility>
 #include <vector>
 
 #include "gmock/gmock.h"
@@ -109,7 +112,7 @@ TEST_F(FlagsTest, UsageHasEveryFlagWithItsValue) {
   const CommandUsage usage = line_.Usage();
   ASSERT_EQ(usage.commands.size(), 2u);
   const CommandUsage& coffee = *usage.Find("coffee");
-  ASSERT_EQ(coffee.flags.size(), 3u);
+  ASSERT_EQ(coffee.flags.size(), 4u);
   EXPECT_THAT(coffee.flags[0].names, ElementsAre("-h", "--help"));
   EXPECT_EQ(coffee.flags[0].value, "");
   EXPECT_EQ(coffee.flags[1].word, "KIND");
@@ -117,6 +120,88 @@ TEST_F(FlagsTest, UsageHasEveryFlagWithItsValue) {
   EXPECT_TRUE(coffee.flags[1].required);
   EXPECT_EQ(coffee.flags[2].value, "MM");
   EXPECT_EQ(coffee.flags[2].default_value, "0.4");
+  EXPECT_THAT(coffee.flags[3].names, ElementsAre("-o"));
+  EXPECT_THAT(coffee.flags[3].choices, ElementsAre("json", "text"));
+}
+
+// The format that these words ask for.
+class OutputFormatTest
+    : public ::testing::TestWithParam<
+          std::pair<std::vector<const char*>, OutputFormat>> {};
+
+TEST_P(OutputFormatTest, IsWhatTheWordsSay) {
+  CommandLine line({"bar", "Serves drinks.", "", ""});
+  const Command menu = line.program().AddCommand({"menu", "Lists.", "", ""});
+  menu.AlsoPrints({OutputFormat::kWide, OutputFormat::kName});
+  menu.RunsAlone([](const Terminal&) { return absl::OkStatus(); });
+  std::vector<const char*> words = GetParam().first;
+  words.insert(words.begin(), "bar");
+  const auto parsed = line.Parse(static_cast<int>(words.size()), words.data());
+  ASSERT_TRUE(parsed.ok()) << parsed.status();
+  EXPECT_EQ(parsed->format, GetParam().second);
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    AllSpellings, OutputFormatTest,
+    ::testing::Values(std::pair{std::vector<const char*>{"menu"},
+                                OutputFormat::kText},
+                      std::pair{std::vector<const char*>{"menu", "-o", "text"},
+                                OutputFormat::kText},
+                      std::pair{std::vector<const char*>{"menu", "-o", "json"},
+                                OutputFormat::kJson},
+                      std::pair{std::vector<const char*>{"menu", "-o=json"},
+                                OutputFormat::kJson},
+                      std::pair{std::vector<const char*>{"menu", "-ojson"},
+                                OutputFormat::kJson},
+                      std::pair{std::vector<const char*>{"menu", "--json"},
+                                OutputFormat::kJson},
+                      std::pair{std::vector<const char*>{"--json", "menu"},
+                                OutputFormat::kJson},
+                      std::pair{std::vector<const char*>{"menu", "-o", "wide"},
+                                OutputFormat::kWide},
+                      std::pair{std::vector<const char*>{"menu", "-o", "name"},
+                                OutputFormat::kName}));
+
+TEST_F(FlagsTest, FormatThatACommandHasNotIsRefusedWithThoseThatItHas) {
+  EXPECT_EQ(Wrong({"coffee", "filter", "-o", "wide"}),
+            "-o: got \"wide\"; allowed is json, text");
+}
+
+TEST_F(FlagsTest, FormatIsAskedForOnce) {
+  EXPECT_EQ(Wrong({"coffee", "filter", "-o", "text", "--json"}),
+            "-o, --json: one of them only");
+}
+
+TEST_F(FlagsTest, FlagOfACommandBeforeItIsToldWhereItStands) {
+  EXPECT_EQ(Wrong({"-o", "json", "coffee", "filter"}),
+            "got \"-o\" before the command; it stands behind bar coffee");
+}
+
+TEST_F(FlagsTest, WhatTheEnvironmentGivesIsNotTyped) {
+  std::string milk;
+  line_.program()
+      .AddText("--milk", "KIND", &milk, "Which milk")
+      .OrEnvironment("REVISIT_TEST_MILK");
+  setenv("REVISIT_TEST_MILK", "oat", 1);
+  const char* words[] = {"bar", "coffee", "filter", "--room", "terrace"};
+  EXPECT_TRUE(line_.Parse(5, words).ok());
+  unsetenv("REVISIT_TEST_MILK");
+  EXPECT_EQ(milk, "oat");
+  EXPECT_TRUE(line_.program().Given("--milk"));
+  EXPECT_FALSE(line_.program().Typed("--milk"));
+  EXPECT_TRUE(line_.program().Typed("--room"));
+}
+
+TEST(AsksForJsonTest, AlsoOfALineThatCannotBeParsed) {
+  const auto asks = [](std::vector<const char*> words) {
+    return AsksForJson(static_cast<int>(words.size()), words.data());
+  };
+  EXPECT_TRUE(asks({"bar", "tee", "-o", "json"}));
+  EXPECT_TRUE(asks({"bar", "-ojson"}));
+  EXPECT_TRUE(asks({"bar", "-o=json"}));
+  EXPECT_TRUE(asks({"bar", "--json", "tee"}));
+  EXPECT_FALSE(asks({"bar", "json", "-o", "wide"}));
+  EXPECT_FALSE(asks({"bar", "-o"}));
 }
 
 TEST(UsageErrorTest, IsJsonWithItsReason) {

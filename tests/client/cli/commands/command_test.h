@@ -16,8 +16,9 @@ namespace revisit::client {
 
 class CommandTest : public ::testing::Test {
  protected:
-  Terminal Text() { return {out_, progress_, false, false}; }
-  Terminal Json() { return {out_, progress_, false, true}; }
+  Terminal Text() { return {out_, progress_, false}; }
+  Terminal Json() { return As(OutputFormat::kJson); }
+  Terminal As(OutputFormat format) { return {out_, progress_, false, format}; }
 
   // Stores poses 1 to `count` of this vehicle, each as many metres along x as
   // its sequence says.

@@ -56,8 +56,9 @@ class CommandsTest : public ::testing::Test {
     }
   }
 
-  Terminal Text() { return {out_, progress_, false, false}; }
-  Terminal Json() { return {out_, progress_, false, true}; }
+  Terminal Text() { return {out_, progress_, false}; }
+  Terminal Json() { return As(OutputFormat::kJson); }
+  Terminal As(OutputFormat format) { return {out_, progress_, false, format}; }
 
   StreamOptions Stream() {
     StreamOptions options;
@@ -312,6 +313,30 @@ TEST_F(CommandsTest, FindSaysWhatTheDriveHasShownOfItsClaims) {
   server_.set_candidates(set);
   ASSERT_TRUE(RunFind(client_, {}, Text()).ok());
   EXPECT_THAT(out_.str(), HasSubstr(shown));
+}
+
+TEST_F(CommandsTest, FindNamesPairsAsClosuresAreNamed) {
+  server_.set_candidates(RelativeSet());
+  ASSERT_TRUE(RunFind(client_, {}, As(OutputFormat::kName)).ok());
+  EXPECT_EQ(out_.str(), "200-40\n200-90\n");
+}
+
+TEST_F(CommandsTest, WideFindHasBothGatesAndWhatTheSearchKnows) {
+  v1::CandidateSet set = RelativeSet();
+  v1::Candidate& first = *set.mutable_candidates(0);
+  first.set_odds_to_runner_up(15.5);
+  first.mutable_shape()->set_overlap_meters(148.25);
+  first.mutable_shape()->set_log_likelihood_ratio(9.75);
+  first.mutable_difference()->set_heading_radians(0.125);
+  server_.set_candidates(set);
+  ASSERT_TRUE(RunFind(client_, {}, As(OutputFormat::kWide)).ok());
+  EXPECT_THAT(out_.str(), ContainsRegex("ODDS .* END D2 .* PATH D2 .* OVERLAP "
+                                        "m  LOG RATIO\n"));
+  // The decisive gate is the path's, the other one is shown as well.
+  EXPECT_THAT(out_.str(),
+              ContainsRegex("ACCEPTED +6.2500 +15.50 +.* 0.1250 .* 14.500 .* "
+                            "17.250 .* 148.2 +9.75\n"));
+  EXPECT_THAT(out_.str(), ContainsRegex("REJECTED_BY_GATE +-1.0000 +- .* -\n"));
 }
 
 TEST_F(CommandsTest, FindHasNoColumnsOfTimesWherePosesHaveNone) {
@@ -598,7 +623,7 @@ TEST(TerminalTest, DrawsABarOnATerminalOnly) {
   std::ostringstream out;
   std::ostringstream terminal;
   {
-    Progress progress({out, terminal, true, false}, "drive", 10, "poses");
+    Progress progress({out, terminal, true}, "drive", 10, "poses");
     while (terminal.str().empty()) progress.Update(5);
     EXPECT_THAT(terminal.str(),
                 HasSubstr("drive [===============               ] 50 %"));
@@ -608,7 +633,7 @@ TEST(TerminalTest, DrawsABarOnATerminalOnly) {
   }
   std::ostringstream plain;
   {
-    Progress progress({out, plain, false, false}, "drive", 10, "poses");
+    Progress progress({out, plain, false}, "drive", 10, "poses");
     progress.Update(5);
     progress.Note("something happened");
   }

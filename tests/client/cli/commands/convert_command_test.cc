@@ -41,7 +41,7 @@ class ConvertCommandTest : public ::testing::Test {
     options_.files = files;
     options_.format = format;
     options_.reader.columns = "t=t,x=x,y=y,yaw=yaw";
-    return RunConvert(options_, {out_, progress_, false, false});
+    return RunConvert(options_, {out_, progress_, false});
   }
 
   const std::filesystem::path directory_ =
@@ -96,8 +96,7 @@ TEST_F(ConvertCommandTest, LinesOfTumNeedTimes) {
                                 "VERTEX_SE2 2 2 0 0\n");
   options_.files = {file};
   options_.format = ConvertFormat::kTum;
-  const absl::Status converted =
-      RunConvert(options_, {out_, progress_, false, false});
+  const absl::Status converted = RunConvert(options_, {out_, progress_, false});
   EXPECT_EQ(ExitCodeOf(converted), kExitLocalError);
   EXPECT_THAT(std::string(converted.message()), HasSubstr("--rate"));
 }
@@ -122,7 +121,7 @@ TEST_F(ConvertCommandTest, NoteSaysWhatIsClaimedUnlessAFlagDoes) {
   }
   options_.files = {File("drive.csv", text)};
   options_.format = ConvertFormat::kJsonLines;
-  const Terminal terminal{out_, progress_, false, false};
+  const Terminal terminal{out_, progress_, false};
   ASSERT_TRUE(RunConvert(options_, terminal).ok());
   EXPECT_THAT(progress_.str(), HasSubstr("drive: its covariances are claimed"));
   progress_.str("");
@@ -136,7 +135,7 @@ TEST_F(ConvertCommandTest, PositionsWithoutAHeadingNeedToBeToldOfTheirErrors) {
   for (int i = 0; i < 50; ++i) text += absl::StrCat(i, ",", 2 * i, ",0\n");
   options_.files = {File("positions.csv", text)};
   options_.reader.columns = "t=t,x=x,y=y";
-  const Terminal terminal{out_, progress_, false, false};
+  const Terminal terminal{out_, progress_, false};
   const absl::Status converted = RunConvert(options_, terminal);
   EXPECT_EQ(ExitCodeOf(converted), kExitLocalError);
   EXPECT_THAT(std::string(converted.message()), HasSubstr("--uncertainty"));

@@ -8,6 +8,7 @@ namespace revisit::client {
 namespace {
 
 using nlohmann::json;
+using ::testing::ContainsRegex;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
@@ -27,6 +28,16 @@ TEST_F(FindingsCommandTest, ListsHaveAllPages) {
   out_.str("");
   ASSERT_TRUE(RunRejectionsList(client_, "shuttle", Json()).ok());
   EXPECT_EQ(json::parse(out_.str())["rejectedCandidates"].size(), 2u);
+}
+
+TEST_F(FindingsCommandTest, NamesAreThoseOfTheResources) {
+  const Terminal names = As(OutputFormat::kName);
+  ASSERT_TRUE(RunRejectionsList(client_, "shuttle", names).ok());
+  ASSERT_TRUE(
+      RunClosuresDelete(client_, {"shuttle", {"150", "20"}}, names).ok());
+  EXPECT_THAT(out_.str(),
+              ContainsRegex("^(vehicles/shuttle/rejectedCandidates/[^/]+\n){2}"
+                            "vehicles/shuttle/loopClosures/150-20\n$"));
 }
 
 TEST_F(FindingsCommandTest, NotesAreListedInOneLineAndInJsonAsTheyAre) {

@@ -10,6 +10,7 @@ namespace revisit::client {
 namespace {
 
 using nlohmann::json;
+using ::testing::ContainsRegex;
 using ::testing::HasSubstr;
 using ::testing::StartsWith;
 
@@ -60,6 +61,29 @@ TEST_F(PosesCommandTest, YawOfAQuaternionIsANumber) {
   server_.Replace("first", batch);
   ASSERT_TRUE(RunPosesList(client_, {"shuttle"}, Text()).ok());
   EXPECT_THAT(out_.str(), HasSubstr("  2.00000\n"));
+}
+
+TEST_F(PosesCommandTest, WideTableHasDeviationsAndQuaternions) {
+  v1::PoseBatch batch;
+  v1::Pose* const pose = batch.add_poses();
+  pose->set_sequence(1);
+  pose->mutable_local();
+  pose->mutable_quaternion()->set_z(0.6);
+  pose->mutable_quaternion()->set_w(0.8);
+  pose->mutable_covariance()->set_form(v1::COVARIANCE_FORM_PLANAR_6);
+  for (const double value : {0.25, 0.0, 0.0, 4.0, 0.0, 0.01}) {
+    pose->mutable_covariance()->add_values(value);
+  }
+  v1::Pose* const plain = batch.add_poses();
+  plain->set_sequence(2);
+  plain->mutable_local();
+  server_.Replace("first", batch);
+  ASSERT_TRUE(RunPosesList(client_, {"shuttle"}, As(OutputFormat::kWide)).ok());
+  EXPECT_THAT(out_.str(), HasSubstr("YAW rad     SD X m     SD Y m     SD Z m  "
+                                    "SD YAW rad"));
+  EXPECT_THAT(out_.str(), ContainsRegex(" 0.500 +2.000 +- +0.10000 +0.000000 "
+                                        "+0.000000 +0.600000 +0.800000\n"));
+  EXPECT_THAT(out_.str(), ContainsRegex("\n +2 .* +0.00000( +-){8}\n"));
 }
 
 TEST_F(PosesCommandTest, ErrorBeforeTheFirstPosePrintsNothing) {
