@@ -6,8 +6,11 @@
 
 #include <cctype>
 
+#include "absl/algorithm/container.h"
 #include "absl/status/status.h"
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/string_view.h"
 #include "server/settings/command_line.h"
 #include "server/settings/settings_file.h"
 
@@ -18,15 +21,23 @@ constexpr char kEnvironmentPrefix[] = "REVISIT_";
 
 // ---- Environment
 
-// Whether a variable with our prefix is no setting of the server, but one of
-// the command line's or the tests'.
-bool BelongsToOthers(const std::string& name) {
-  // REVISIT_TLS_CERT and REVISIT_TLS_KEY mean the same to both programs: what
-  // they show of themselves.
-  return name == "REVISIT_SERVER" || name == "REVISIT_CONTEXT" ||
-         name == "REVISIT_CONTEXTS_FILE" || name == "REVISIT_TLS_CA" ||
-         name == "REVISIT_TOKEN_FILE" || name == "REVISIT_BIN" ||
-         name.rfind("REVISIT_TEST_", 0) == 0;
+// Variables with our prefix that are no settings of the server: programs beside
+// it read them, often from the same environment. REVISIT_TLS_CERT and
+// REVISIT_TLS_KEY are not among them, since they mean the same to the command
+// line and to the server: what each shows of itself.
+constexpr absl::string_view kVariablesOfOthers[] = {
+    // The command line and the clients.
+    "REVISIT_CONTEXT", "REVISIT_CONTEXTS_FILE", "REVISIT_PROGRAM",
+    "REVISIT_SERVER", "REVISIT_TLS_CA", "REVISIT_TOKEN_FILE",
+    // The console, which has more that begin with REVISIT_CONSOLE_.
+    "REVISIT_BASE_MAP", "REVISIT_METRICS",
+    // The tests, which have more that begin with REVISIT_TEST_.
+    "REVISIT_BIN"};
+
+bool BelongsToOthers(absl::string_view name) {
+  return absl::c_linear_search(kVariablesOfOthers, name) ||
+         absl::StartsWith(name, "REVISIT_CONSOLE_") ||
+         absl::StartsWith(name, "REVISIT_TEST_");
 }
 
 // The key that a variable stands for: `node-budget` for REVISIT_NODE_BUDGET.

@@ -26,9 +26,11 @@ RUN_SECONDS = 240
 
 
 def clean_environment(**extra):
-    """The environment without settings of revisitd, plus some."""
+    """The environment without settings of revisitd and without the contexts of
+    whoever runs the tests, plus some."""
     kept = {name: value for name, value in os.environ.items()
             if not name.startswith("REVISIT_")}
+    kept["XDG_CONFIG_HOME"] = "/nonexistent"
     # A program with the sanitizer sets aside what it frees, 256 MiB of it, which
     # is none of the memory that tests measure.
     kept.setdefault("ASAN_OPTIONS", "quarantine_size_mb=16")
