@@ -44,6 +44,12 @@ Symmetric StepNoise(double length, double direction,
           options.heading * options.heading * length};
 }
 
+Symmetric StartCovariance(const UncertaintyOptions& options) {
+  const double position = options.start_position * options.start_position;
+  return {position, 0.0, 0.0,
+          position, 0.0, options.start_heading * options.start_heading};
+}
+
 void Scale(double factor, ClaimedUncertainty* claim) {
   const double squared = factor * factor;
   for (double& entry : claim->planar) entry *= squared;
@@ -63,11 +69,20 @@ UncertaintyClaims::UncertaintyClaims(const UncertaintyOptions& options,
 
 void UncertaintyClaims::ContinueFrom(const PlanarPose& pose,
                                      const std::array<double, 6>& covariance) {
+  is_first_ = true;
   previous_ = pose;
   carried_ = covariance;
   // Scaled once more when it is claimed.
   const double scale = options_.claimed_scale * options_.claimed_scale;
   for (double& entry : carried_) entry /= scale;
+}
+
+void UncertaintyClaims::BeginRecording(const std::string& name) {
+  name_ = name;
+  if (!previous_.has_value()) return;
+  is_first_ = true;
+  // The columns of a file begin with certainty.
+  if (options_.source == UncertaintyOptions::Source::kFile) carried_ = claimed_;
 }
 
 std::string UncertaintyClaims::PlaceOf(const Sample& sample) const {
@@ -137,6 +152,10 @@ absl::StatusOr<ClaimedUncertainty> UncertaintyClaims::Next(
           Sum(carried_, StepNoise(length, from.heading + 0.5 * turn, options_));
     }
   }
+  if (is_first_ && options_.start_is_given) {
+    carried_ = Sum(carried_, StartCovariance(options_));
+  }
+  is_first_ = false;
   previous_ = sample.estimate;
   ClaimedUncertainty claim;
   claim.planar = carried_;
@@ -147,6 +166,7 @@ absl::StatusOr<ClaimedUncertainty> UncertaintyClaims::Next(
       return status;
     }
   }
+  claimed_ = claim.planar;
   Scale(options_.claimed_scale, &claim);
   return claim;
 }

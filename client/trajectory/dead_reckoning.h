@@ -48,6 +48,9 @@ struct UncertaintyOptions {
   // Standard deviations at the start: metres and radians.
   double start_position = 0.1;
   double start_heading = 0.01;
+  // Whether these are also those of the start of each further recording, in the
+  // frame of the recordings before it. If not, that claims no more than a step.
+  bool start_is_given = false;
   // Standard deviation of each coordinate of a fix whose file states none.
   double fix_position = 5.0;
   // Every standard deviation is claimed this many times as large as the above
@@ -69,12 +72,12 @@ class UncertaintyClaims {
   // `name` is the recording's, for messages.
   UncertaintyClaims(const UncertaintyOptions& options, std::string name);
 
-  // Begins with this pose and its covariance in place of the start's.
+  // Begins another recording, behind this pose with its covariance.
   void ContinueFrom(const PlanarPose& pose,
                     const std::array<double, 6>& covariance);
 
-  // Samples come from this recording from now on.
-  void SetName(const std::string& name) { name_ = name; }
+  // The samples that follow are those of another recording, behind the last.
+  void BeginRecording(const std::string& name);
 
   // INVALID_ARGUMENT if the source is the file and the sample has no
   // covariance, or none that a fix can have.
@@ -90,6 +93,10 @@ class UncertaintyClaims {
   const UncertaintyOptions options_;
   std::string name_;
   std::array<double, 6> carried_;
+  // The last claim, before it was scaled.
+  std::array<double, 6> claimed_{};
+  // Whether the next sample is the first of a further recording.
+  bool is_first_ = false;
   double distance_ = 0.0;
   std::optional<PlanarPose> previous_;
 };

@@ -5,9 +5,11 @@
 
 #include "absl/strings/str_cat.h"
 #include "client/formats/times.h"
+#include "client/revisit/printable_text.h"
 #include "client/terminal/terminal.h"
 #include "client/trajectory/local_pose.h"
 #include "google/protobuf/timestamp.pb.h"
+#include "revisit/v1/vehicle.pb.h"
 
 namespace revisit::client {
 
@@ -97,6 +99,19 @@ void AppendPoses(const Drive& drive,
     }
     if (!stream->Append(std::move(batch)).ok()) return;
   }
+}
+
+std::string WarningText(const v1::Warning& warning) {
+  std::string text = absl::StrCat("warning: ", Printable(warning.message()));
+  const auto finding = warning.metadata().find("finding");
+  if (finding != warning.metadata().end() &&
+      finding->second == v1::FindingCode_Name(v1::FINDING_CODE_NEW_FRAME)) {
+    absl::StrAppend(&text,
+                    " (--vehicle OTHER --create; or --start-sigma-position M "
+                    "--start-sigma-heading RAD, with --append or several "
+                    "FILEs)");
+  }
+  return text;
 }
 
 std::string JumpText(const v1::Jump& jump) {

@@ -42,6 +42,9 @@ void AppendPoses(const Drive& drive,
 // Reports a jump to people.
 std::string JumpText(const v1::Jump& jump);
 
+// Reports a server's warning to people, and names the flags that may help.
+std::string WarningText(const v1::Warning& warning);
+
 }  // namespace revisit::client
 
 #endif  // REVISIT_CLIENT_TRAJECTORY_DRIVE_POSES_H_

@@ -14,6 +14,7 @@
 #include "core/drive/consistency_monitor.h"
 #include "core/drive/distance_resampler.h"
 #include "core/drive/dropped_stretch.h"
+#include "core/drive/frame_watch.h"
 #include "core/drive/model_check.h"
 #include "core/drive/motion_history.h"
 #include "core/drive/node_range.h"
@@ -73,6 +74,25 @@ struct Drive::Impl {
     ConfirmedLoop loop;
   };
 
+  // What tells findings from those of another moment, without their numbers.
+  struct Found {
+    std::optional<FindingCode> model;
+    bool has_leapt = false;
+    // Of the first pose in a new frame; 0 if there is none.
+    std::uint64_t frame_sequence = 0;
+
+    bool operator!=(const Found& other) const {
+      return model != other.model || has_leapt != other.has_leapt ||
+             frame_sequence != other.frame_sequence;
+    }
+    // Whether a finding of this moment is new since that one.
+    bool IsNew(const Finding& finding, const Found& before) const {
+      if (finding.leap) return !before.has_leapt;
+      if (finding.frame) return frame_sequence != before.frame_sequence;
+      return model != before.model;
+    }
+  };
+
   explicit Impl(const DriveSettings& with_settings);
 
   std::optional<std::pair<NodeIndex, NodeIndex>> LoopEdge(
@@ -92,8 +112,14 @@ struct Drive::Impl {
   // Without loop ends.
   RetentionNeeds MakeRetentionNeeds() const;
   LeapWatch MakeLeapWatch() const;
+  // The new frame that the vehicle's settings let be one; null if there is
+  // none.
+  const NewFrame* FindNewFrame() const;
+  Found FoundSoFar() const;
   // Adds the graph's new nodes to its indexes.
   void ExtendIndexes();
+  // Shows the graph's new nodes to those who watch them.
+  void ExtendWatches();
   // Estimates the consistency anew from all confirmed loops.
   void RebuildMonitor();
 
@@ -113,6 +139,7 @@ struct Drive::Impl {
   ConsistencyMonitor monitor;
   ModelCheck model_check;
   LeapWatch leap_watch;
+  FrameWatch frame_watch;
   // The next check is due at this many check intervals.
   std::int64_t next_check = 0;
 };
@@ -124,7 +151,8 @@ Drive::Impl::Impl(const DriveSettings& with_settings)
       block_bounds(settings.state_space),
       monitor(MakeConsistencyOptions(settings)),
       model_check(settings.max_step_meters),
-      leap_watch(MakeLeapWatch()) {
+      leap_watch(MakeLeapWatch()),
+      frame_watch(settings.node_spacing_meters) {
   assert(FindProblems(settings).empty());
   ScheduleNextCheck();
 }
@@ -184,6 +212,35 @@ RetentionNeeds Drive::Impl::MakeRetentionNeeds() const {
 
 LeapWatch Drive::Impl::MakeLeapWatch() const {
   return {settings.retention.max_age_ns, MakeRetentionNeeds().newest_nodes};
+}
+
+// Where claims do not grow at all, that they fall is nothing new: they are then
+// those of fixes, and that is told (FindingCode::kCovariancesDoNotGrow).
+const NewFrame* Drive::Impl::FindNewFrame() const {
+  const CorrelationModel model = settings.search.correlation_model;
+  const NewFrame* const frame = frame_watch.last();
+  if (frame == nullptr ||
+      NoiseOf(model).claimed_growth != ClaimedGrowth::kGrows) {
+    return nullptr;
+  }
+  const bool is_of_fixes =
+      model_check.Judge(model) == FindingCode::kCovariancesDoNotGrow;
+  return frame->claims_fall && is_of_fixes ? nullptr : frame;
+}
+
+Drive::Impl::Found Drive::Impl::FoundSoFar() const {
+  Found found;
+  found.model = model_check.Judge(settings.search.correlation_model);
+  found.has_leapt = leap_watch.leap().has_value();
+  if (const NewFrame* frame = FindNewFrame()) {
+    found.frame_sequence = frame->sequence;
+  }
+  return found;
+}
+
+void Drive::Impl::ExtendWatches() {
+  leap_watch.Extend(graph, dropped);
+  frame_watch.Extend(graph, dropped);
 }
 
 // A setting that differs may come to the same in whole nodes.
@@ -291,19 +348,16 @@ AppendResult Drive::Append(const std::vector<PoseSample>& samples,
                            std::uint64_t revision) {
   assert(revision > impl_->revision);
   AppendResult result;
-  const CorrelationModel model = impl_->settings.search.correlation_model;
-  const std::optional<FindingCode> found_before =
-      impl_->model_check.Judge(model);
-  const bool had_leapt = impl_->leap_watch.leap().has_value();
+  const Impl::Found before = impl_->FoundSoFar();
   for (const PoseSample& sample : samples) {
     assert(sample.sequence == impl_->last_sequence + 1);
     impl_->model_check.Look(sample);
-    const NodeIndex before = impl_->graph.size();
+    const NodeIndex first_new = impl_->graph.size();
     if (std::optional<Jump> jump =
             impl_->resampler.Add(sample, &impl_->graph)) {
       result.jumps.push_back(*jump);
     }
-    for (NodeIndex i = before; i < impl_->graph.size(); ++i) {
+    for (NodeIndex i = first_new; i < impl_->graph.size(); ++i) {
       const double due =
           (static_cast<double>(impl_->next_check) - kCheckTolerance) *
           impl_->settings.check_interval_meters;
@@ -315,14 +369,11 @@ AppendResult Drive::Append(const std::vector<PoseSample>& samples,
     impl_->last_sequence = sample.sequence;
   }
   impl_->ExtendIndexes();
-  impl_->leap_watch.Extend(impl_->graph, impl_->dropped);
-  const bool has_new_finding = impl_->model_check.Judge(model) != found_before;
-  const bool has_leapt = !had_leapt && impl_->leap_watch.leap();
-  if (has_new_finding || has_leapt) {
+  impl_->ExtendWatches();
+  const Impl::Found now = impl_->FoundSoFar();
+  if (now != before) {
     for (Finding& finding : findings()) {
-      if (finding.leap ? has_leapt : has_new_finding) {
-        result.findings.push_back(finding);
-      }
+      if (now.IsNew(finding, before)) result.findings.push_back(finding);
     }
   }
   impl_->revision = revision;
@@ -339,6 +390,11 @@ std::vector<Finding> Drive::findings() const {
     Finding& finding = findings.emplace_back();
     finding.code = FindingCode::kStampsLeap;
     finding.leap = leap;
+  }
+  if (const NewFrame* frame = impl_->FindNewFrame()) {
+    Finding& finding = findings.emplace_back();
+    finding.code = FindingCode::kNewFrame;
+    finding.frame = *frame;
   }
   return findings;
 }
@@ -415,7 +471,7 @@ absl::Status Drive::ChangeSettings(const DriveSettings& settings,
   if ((remade & kRemadeConsistency) != 0) impl_->RebuildMonitor();
   if ((remade & kRemadeMotionHistory) != 0) impl_->RebuildMotionHistory();
   impl_->leap_watch = impl_->MakeLeapWatch();
-  impl_->leap_watch.Extend(impl_->graph, impl_->dropped);
+  impl_->ExtendWatches();
   impl_->ScheduleNextCheck();
   return absl::OkStatus();
 }
@@ -553,7 +609,7 @@ bool Drive::LoadRest(absl::string_view bytes) {
   }
   impl_->motion_history.EndLoading();
   impl_->ExtendIndexes();
-  impl_->leap_watch.Extend(impl_->graph, impl_->dropped);
+  impl_->ExtendWatches();
   return true;
 }
 

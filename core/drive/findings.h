@@ -22,6 +22,26 @@ struct StampLeap {
   std::int64_t nanoseconds = 0;
 };
 
+// Poses that go on in what looks like another frame (frame_watch.h).
+struct NewFrame {
+  // Standard deviations of a pose: metres, the mean of x and y, and radians.
+  struct Claims {
+    double meters = 0.0;
+    double radians = 0.0;
+  };
+
+  // The first pose in it, at most a node early or late.
+  std::uint64_t sequence = 0;
+  // From the node before to the node behind the step that leads to it.
+  double meters = 0.0;
+  Claims before;
+  Claims after;
+  // Whether that shows by the claims; if not, by a return to the start.
+  bool claims_fall = false;
+  // Nothing without stamps.
+  std::optional<std::int64_t> nanoseconds;
+};
+
 // By what poses contradict their settings (model_check.h).
 enum class FindingCode {
   // Claims are to grow (NoiseModel), but few stretches do.
@@ -34,6 +54,9 @@ enum class FindingCode {
   // The stamps go forward by more than the greatest age that is kept, whatever
   // the model.
   kStampsLeap,
+  // Claims are to grow (NoiseModel), but from one pose on they, or the
+  // positions, are those of another frame.
+  kNewFrame,
 };
 
 struct Finding {
@@ -46,6 +69,8 @@ struct Finding {
   std::optional<double> smoother;
   // For kStampsLeap only.
   std::optional<StampLeap> leap;
+  // For kNewFrame only.
+  std::optional<NewFrame> frame;
 };
 
 }  // namespace revisit::core

@@ -5,19 +5,23 @@
 #include <string>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/number_text.h"
+#include "google/protobuf/map.h"
 #include "server/fields/enums.h"
 
 namespace revisit::server {
 namespace {
 
 using absl::StrCat;
+using core::NumberText;
 
 constexpr EnumRow<v1::FindingCode, core::FindingCode> kCodes[] = {
     {v1::FINDING_CODE_COVARIANCES_DO_NOT_GROW,
      core::FindingCode::kCovariancesDoNotGrow},
     {v1::FINDING_CODE_COVARIANCES_GROW, core::FindingCode::kCovariancesGrow},
     {v1::FINDING_CODE_ERRORS_CORRELATED, core::FindingCode::kErrorsCorrelated},
-    {v1::FINDING_CODE_STAMPS_LEAP, core::FindingCode::kStampsLeap}};
+    {v1::FINDING_CODE_STAMPS_LEAP, core::FindingCode::kStampsLeap},
+    {v1::FINDING_CODE_NEW_FRAME, core::FindingCode::kNewFrame}};
 
 // Poses that are so many times smoother than independent errors make them, or
 // more, have errors that depend on each other.
@@ -65,8 +69,53 @@ std::string SecondsText(std::int64_t nanoseconds) {
 
 std::string DurationText(std::int64_t nanoseconds) {
   constexpr std::int64_t kDay = 24 * 3600 * kNanosecondsPerSecond;
-  return nanoseconds < kDay ? StrCat(SecondsText(nanoseconds), " s")
-                            : StrCat(nanoseconds / kDay, " days");
+  return nanoseconds < kDay       ? StrCat(SecondsText(nanoseconds), " s")
+         : nanoseconds < 2 * kDay ? "1 day"
+                                  : StrCat(nanoseconds / kDay, " days");
+}
+
+std::string StampsLeapText(const core::StampLeap& leap) {
+  return StrCat(
+      "the stamps go forward by ", DurationText(leap.nanoseconds),
+      " to sequence ", leap.sequence,
+      ", by more than retention.max_age; if that is wrong, mend the vehicle's "
+      "clock, and if it does not go back, take max_age away: once stamps after "
+      "the leap have lasted for some 14 sequence lengths, poses from before it "
+      "are too old");
+}
+
+// Two digits of a standard deviation, whatever its size.
+std::string Deviation(double value) {
+  if (!(value > 0.0)) return "0";
+  const double unit = std::pow(10.0, std::floor(std::log10(value)) - 1.0);
+  return StrCat(std::round(value / unit) * unit);
+}
+
+std::string NewFrameText(const core::NewFrame& frame) {
+  std::string text =
+      StrCat("sequence ", frame.sequence,
+             " looks like the start of a new recording, in a frame of its own: "
+             "it lies ",
+             Rough(frame.meters), " m from the pose before");
+  if (frame.nanoseconds && *frame.nanoseconds > 0) {
+    absl::StrAppend(&text, ", ", DurationText(*frame.nanoseconds), " later");
+  }
+  if (frame.claims_fall) {
+    absl::StrAppend(&text, ", and claims to be within ",
+                    Deviation(frame.after.meters), " m and ",
+                    Deviation(frame.after.radians), " rad after ",
+                    Deviation(frame.before.meters), " m and ",
+                    Deviation(frame.before.radians), " rad");
+  } else {
+    text +=
+        ", where the vehicle began or at the origin, and its covariance has "
+        "grown by far less";
+  }
+  return text +
+         "; searches find nothing across two frames: send each recording as a "
+         "vehicle of its own, or, if you know where it starts in the frame "
+         "before, poses in that frame, with the uncertainty of the start added "
+         "to the covariance of the pose before";
 }
 
 std::string TextOf(const core::Finding& finding) {
@@ -80,16 +129,25 @@ std::string TextOf(const core::Finding& finding) {
     case core::FindingCode::kErrorsCorrelated:
       return ErrorsCorrelatedText(finding);
     case core::FindingCode::kStampsLeap:
+      return StampsLeapText(finding.leap.value_or(core::StampLeap()));
+    case core::FindingCode::kNewFrame:
       break;
   }
-  const core::StampLeap leap = finding.leap.value_or(core::StampLeap());
-  return StrCat(
-      "the stamps go forward by ", DurationText(leap.nanoseconds),
-      " to sequence ", leap.sequence,
-      ", by more than retention.max_age; if that is wrong, mend the vehicle's "
-      "clock, and if it does not go back, take max_age away: once stamps after "
-      "the leap have lasted for some 14 sequence lengths, poses from before it "
-      "are too old");
+  return finding.frame ? NewFrameText(*finding.frame) : std::string();
+}
+
+using Metadata = google::protobuf::Map<std::string, std::string>;
+
+void EncodeNewFrame(const core::NewFrame& frame, Metadata* metadata) {
+  (*metadata)["sequence"] = StrCat(frame.sequence);
+  (*metadata)["meters"] = NumberText(frame.meters);
+  (*metadata)["before_meters"] = NumberText(frame.before.meters);
+  (*metadata)["after_meters"] = NumberText(frame.after.meters);
+  (*metadata)["before_radians"] = NumberText(frame.before.radians);
+  (*metadata)["after_radians"] = NumberText(frame.after.radians);
+  if (frame.nanoseconds) {
+    (*metadata)["seconds"] = SecondsText(*frame.nanoseconds);
+  }
 }
 
 }  // namespace
@@ -110,6 +168,7 @@ void EncodeFindingWarning(const core::Finding& finding, std::uint64_t sequence,
   if (finding.leap) {
     metadata["seconds"] = SecondsText(finding.leap->nanoseconds);
   }
+  if (finding.frame) EncodeNewFrame(*finding.frame, &metadata);
 }
 
 void EncodeStampWarning(const StampAhead& ahead, v1::Warning* warning) {

@@ -1,6 +1,7 @@
 #include "server/conversion/poses.h"
 
 #include "absl/strings/str_cat.h"
+#include "server/fields/enums.h"
 #include "server/fields/pose_decoder.h"
 #include "server/fields/pose_fields.h"
 #include "server/records/batch_records.h"
@@ -10,6 +11,14 @@ namespace revisit::server {
 static_assert(AreCovarianceForms(v1::COVARIANCE_FORM_PLANAR_6,
                                  v1::COVARIANCE_FORM_SPATIAL_10,
                                  v1::COVARIANCE_FORM_ROS_36));
+
+namespace {
+
+constexpr EnumRow<v1::PoseView, BatchVersion> kViews[] = {
+    {v1::POSE_VIEW_CURRENT, BatchVersion::kCurrent},
+    {v1::POSE_VIEW_AS_SENT, BatchVersion::kAsSent}};
+
+}  // namespace
 
 absl::StatusOr<DecodedBatch> DecodeBatch(const Poses& poses, int max_poses,
                                          const VehicleConfig& config,
@@ -57,6 +66,14 @@ void DropUnknownFields(Poses* poses) {
     }
     pose.DiscardUnknownFields();
   }
+}
+
+absl::StatusOr<BatchVersion> DecodePoseView(v1::PoseView view) {
+  Violations violations;
+  BatchVersion version = BatchVersion::kCurrent;
+  DecodeEnum(kViews, view, FieldPath().Field("view"), &version, &violations);
+  if (absl::Status status = violations.ToStatus(); !status.ok()) return status;
+  return version;
 }
 
 absl::Status CheckRevisedPoses(const Poses& poses, std::size_t first_number,

@@ -8,10 +8,12 @@
 #include "absl/status/statusor.h"
 #include "google/protobuf/repeated_field.h"
 #include "revisit/v1/geometry.pb.h"
+#include "revisit/v1/pose_graph_service.pb.h"
 #include "server/fields/field_violations.h"
 #include "server/sessions/append_request.h"
 #include "server/sessions/record_codec.h"
 #include "server/sessions/vehicle_config.h"
+#include "server/storage/records.h"
 
 namespace revisit::server {
 
@@ -29,6 +31,9 @@ BatchDecoder DecoderOf(const Poses* poses, int max_poses, const char* parent);
 // Drops fields that this version does not know, so that they take no room in
 // the draft of a revision. None reaches a record in any case.
 void DropUnknownFields(Poses* poses);
+
+// The version of stored poses that a request's field `view` means.
+absl::StatusOr<BatchVersion> DecodePoseView(v1::PoseView view);
 
 // Whether poses may replace stored ones. Paths number them over the whole call,
 // these from `first_number` on.

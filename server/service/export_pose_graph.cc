@@ -16,6 +16,7 @@
 #include "server/connections/drain.h"
 #include "server/conversion/answers.h"
 #include "server/conversion/names.h"
+#include "server/conversion/poses.h"
 #include "server/fields/field_violations.h"
 #include "server/service/exported_graphs.h"
 #include "server/service/message_bytes.h"
@@ -81,24 +82,36 @@ class Export final : public WritingCall<Export> {
     const absl::StatusOr<std::string> id =
         ParseVehicleName(request.vehicle(), FieldPath().Field("vehicle"));
     if (!id.ok()) return id.status();
+    const absl::StatusOr<BatchVersion> version = DecodePoseView(request.view());
+    if (!version.ok()) return version.status();
     if (absl::Status status = ChooseVehicle(*id); !status.ok()) {
       return status;
     }
-    context_.fleet->Session(*id)->LongRead(
-        [self = shared_from_this()](const absl::StatusOr<VehicleView>& view) {
-          self->OnRead(view);
-        });
+    const auto session = context_.fleet->Session(*id);
+    const ViewCallback read = [self = shared_from_this(), version = *version](
+                                  const absl::StatusOr<VehicleView>& view) {
+      self->OnRead(view, version);
+    };
+    if (*version == BatchVersion::kAsSent) {
+      session->ReadStored(read);
+    } else {
+      session->LongRead(read);
+    }
     return absl::OkStatus();
   }
 
-  void OnRead(const absl::StatusOr<VehicleView>& view) {
+  // Room for a graph, or for more of one; also ends one whose caller has left.
+  absl::StatusOr<Permit> Admit(std::size_t bytes) {
+    if (given_up()) return GivenUpStatus();
+    return room().AdmitExport(bytes);
+  }
+
+  void OnRead(const absl::StatusOr<VehicleView>& view, BatchVersion version) {
     const absl::StatusOr<std::shared_ptr<const ExportedGraph>> exported =
-        view.ok()
-            ? context_.exported_graphs->Take(*view,
-                                             [this](std::size_t bytes) {
-                                               return room().AdmitExport(bytes);
-                                             })
-            : view.status();
+        view.ok() ? context_.exported_graphs->Take(
+                        *view, version, context_.storage,
+                        [this](std::size_t bytes) { return Admit(bytes); })
+                  : view.status();
     const MutexLock lock(&mutex_);
     if (ended_) return;
     if (!exported.ok()) {

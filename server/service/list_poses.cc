@@ -10,7 +10,7 @@
 #include "core/drive/dropped_stretch.h"
 #include "google/protobuf/util/field_mask_util.h"
 #include "server/conversion/page_token.h"
-#include "server/fields/enums.h"
+#include "server/conversion/poses.h"
 #include "server/fields/field_violations.h"
 #include "server/fields/pose_fields.h"
 #include "server/records/batch_records.h"
@@ -69,18 +69,6 @@ absl::Status CheckReadMask(const google::protobuf::FieldMask& mask) {
     }
   }
   return violations.ToStatus();
-}
-
-constexpr EnumRow<v1::PoseView, BatchVersion> kViews[] = {
-    {v1::POSE_VIEW_CURRENT, BatchVersion::kCurrent},
-    {v1::POSE_VIEW_AS_SENT, BatchVersion::kAsSent}};
-
-absl::StatusOr<BatchVersion> VersionOf(v1::PoseView view) {
-  Violations violations;
-  BatchVersion version = BatchVersion::kCurrent;
-  DecodeEnum(kViews, view, kRequest.Field("view"), &version, &violations);
-  if (absl::Status status = violations.ToStatus(); !status.ok()) return status;
-  return version;
 }
 
 // The poses of this view of a vehicle, as page tokens name them.
@@ -143,7 +131,7 @@ absl::Status ListPoses(const ServiceContext& service, const UnaryCallPtr& call,
   const auto session = SessionOf(service, request.parent(),
                                  kRequest.Field("parent"), call.get());
   if (!session.ok()) return session.status();
-  const absl::StatusOr<BatchVersion> version = VersionOf(request.view());
+  const absl::StatusOr<BatchVersion> version = DecodePoseView(request.view());
   if (!version.ok()) return version.status();
   const std::string list = ListOf(request, *version);
   const absl::StatusOr<int> page_size =

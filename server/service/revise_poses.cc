@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -17,6 +18,7 @@
 #include "server/conversion/names.h"
 #include "server/conversion/poses.h"
 #include "server/fields/field_violations.h"
+#include "server/service/kept_covariances.h"
 #include "server/service/message_bytes.h"
 #include "server/service/revision_plan.h"
 #include "server/service/streaming_call.h"
@@ -268,11 +270,13 @@ class Revision final : public ReadingCall<Revision> {
     if (absl::Status status = CheckNotAhead(view); !status.ok()) return status;
     // The draft is destroyed with the plan.
     const std::shared_ptr<RevisionDraft> draft = std::move(draft_);
-    absl::StatusOr<RevisionPlan> plan =
-        PlanRevision(context_.storage, view, draft, expected_revision_, *this);
+    KeptCovariances kept(view.config.drive.state_space);
+    absl::StatusOr<RevisionPlan> plan = PlanRevision(
+        context_.storage, view, draft, expected_revision_, *this, &kept);
     if (!plan.ok() || !plan->batches) return plan;
     const absl::Status taken = room().TakeRebuild(view.durable_sequence);
     if (!taken.ok()) return taken;
+    warning_ = kept.Judge();
     return plan;
   }
 
@@ -286,6 +290,7 @@ class Revision final : public ReadingCall<Revision> {
       response_.set_revision(revised->revision);
       response_.set_revised_count(revised->revised_count);
       response_.set_dropped_count(revised->dropped_count);
+      if (warning_) *response_.add_warnings() = *warning_;
     }
     EndLocked(revised.status());
   }
@@ -304,6 +309,8 @@ class Revision final : public ReadingCall<Revision> {
   std::int64_t bytes_ = 0;
   // Null until there are poses.
   std::shared_ptr<RevisionDraft> draft_;
+  // Belongs to the session while it revises.
+  std::optional<v1::Warning> warning_;
 
   std::shared_ptr<VehicleSession> session_ ABSL_GUARDED_BY(mutex_);
   // Room for the draft, and how much.

@@ -12,6 +12,7 @@
 #include "server/conversion/poses.h"
 #include "server/fields/pose_fields.h"
 #include "server/records/batch_records.h"
+#include "server/records/proto_record_codec.h"
 
 namespace revisit::server {
 namespace {
@@ -45,10 +46,12 @@ absl::StatusOr<std::optional<BatchRecord>> Revise(const BatchRecord& batch,
 // Takes the stored batches one by one.
 class Planner {
  public:
-  Planner(const VehicleView& view, RevisionDraft* draft, std::uint64_t expected)
+  Planner(const VehicleView& view, RevisionDraft* draft, std::uint64_t expected,
+          KeptCovariances* kept)
       : view_(view),
         draft_(draft),
         expected_(expected),
+        kept_(kept),
         is_done_(is_mismatch()) {}
 
   absl::Status Take(const BatchRecord& batch) {
@@ -58,6 +61,7 @@ class Planner {
     const auto revised = Revise(batch, view_.config, draft_);
     if (!revised.ok()) return revised.status();
     if (!*revised) return absl::OkStatus();
+    if (absl::Status shown = Show(batch, **revised); !shown.ok()) return shown;
     is_done_ = is_done_ && batch.revision == expected_ + 1 &&
                batch.payload == (*revised)->payload;
     return draft_->AddBatch(**revised);
@@ -74,6 +78,16 @@ class Planner {
   std::int64_t dropped_count() const { return dropped_count_; }
 
  private:
+  absl::Status Show(const BatchRecord& batch, const BatchRecord& revised) {
+    const ProtoRecordCodec codec;
+    const auto before = codec.DecodePoses(batch.payload, view_.config);
+    if (!before.ok()) return before.status();
+    const auto after = codec.DecodePoses(revised.payload, view_.config);
+    if (!after.ok()) return after.status();
+    kept_->Look(before->samples, after->samples);
+    return absl::OkStatus();
+  }
+
   absl::Status CountDropped(const BatchRecord& batch) {
     return draft_->ReadPoses(batch.first_sequence,
                              batch.first_sequence + batch.count - 1,
@@ -86,6 +100,7 @@ class Planner {
   const VehicleView& view_;
   RevisionDraft* const draft_;
   const std::uint64_t expected_;
+  KeptCovariances* const kept_;
   bool is_done_;
   std::int64_t dropped_count_ = 0;
 };
@@ -104,8 +119,8 @@ absl::Status RevisionMismatch(const VehicleView& view, std::uint64_t expected) {
 absl::StatusOr<RevisionPlan> PlanRevision(
     Storage* storage, const VehicleView& view,
     const std::shared_ptr<RevisionDraft>& draft, std::uint64_t expected,
-    const Call& call) {
-  Planner planner(view, draft.get(), expected);
+    const Call& call, KeptCovariances* kept) {
+  Planner planner(view, draft.get(), expected, kept);
   absl::Status taken;
   const absl::Status read = storage->ReadBatches(
       view.key, draft->first_sequence(), draft->last_sequence(),

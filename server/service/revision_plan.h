@@ -9,6 +9,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "server/service/call.h"
+#include "server/service/kept_covariances.h"
 #include "server/sessions/vehicle_session.h"
 #include "server/sessions/vehicle_view.h"
 #include "server/storage/revision_draft.h"
@@ -22,11 +23,12 @@ absl::Status RevisionMismatch(const VehicleView& view, std::uint64_t expected);
 // Reads the batches that hold the poses of the draft, and replaces these poses.
 // If `expected` is not 0, it must be the revision of the vehicle, unless the
 // result of the change is stored already: then the answer to an earlier call
-// got lost. Ends early, with that status, once the call was given up.
+// got lost. Ends early, with that status, once the call was given up. Shows the
+// poses before and after to `kept`.
 absl::StatusOr<RevisionPlan> PlanRevision(
     Storage* storage, const VehicleView& view,
     const std::shared_ptr<RevisionDraft>& draft, std::uint64_t expected,
-    const Call& call);
+    const Call& call, KeptCovariances* kept);
 
 }  // namespace revisit::server
 

@@ -5,7 +5,6 @@ The optimiser is GTSAM, in a process of its own. REVISIT_TEST_DRIVES may name a
 directory with more drives (kitti_00.csv); the shipped one is always driven."""
 
 import json
-import math
 import os
 import pathlib
 import random
@@ -17,21 +16,12 @@ import pytest
 from revisit_server import Server, clean_environment, run
 from stubs import ROOT, api
 from test_shipped_drive import rows
+from verified_places import (BETTER_BY, GTSAM, INSTALL_SECONDS, SIGMA_METERS,
+                             SIGMA_RADIANS, is_one_place, measured,
+                             position_error)
 from wire import BOREAS, list_poses
 
-GTSAM = "gtsam==4.3.0"
 OPTIMISE = ROOT / "tests/integration/optimise_g2o.py"
-INSTALL_SECONDS = 300
-
-# The noise of the measurements, as of matched scans.
-SIGMA_METERS = 0.1
-SIGMA_RADIANS = math.radians(0.2)
-
-# How far apart two scans may have been taken: a dual carriageway, and a pose each
-# second.
-REACH_METERS = 30.0
-
-BETTER_BY = 5.0
 
 
 @pytest.fixture(scope="module")
@@ -56,38 +46,6 @@ def kitti():
         pytest.skip("kitti_00.csv: its licence does not allow to ship it; "
                     "REVISIT_TEST_DRIVES names the directory that has it")
     return path
-
-
-def measured(truth, query, matched, draw):
-    """The query as seen from the match (sequences), with noise."""
-    (xq, yq, hq), (xm, ym, hm) = truth[query - 1], truth[matched - 1]
-    c, s = math.cos(hm), math.sin(hm)
-    return (c * (xq - xm) + s * (yq - ym) + draw.gauss(0, SIGMA_METERS),
-            -s * (xq - xm) + c * (yq - ym) + draw.gauss(0, SIGMA_METERS),
-            math.remainder(hq - hm, math.tau) + draw.gauss(0, SIGMA_RADIANS))
-
-
-def is_one_place(relative):
-    """Near enough for two scans to be matched, passed either way."""
-    x, y, heading = relative
-    return (math.hypot(x, y) < REACH_METERS
-            and abs(math.sin(heading)) < math.sin(math.pi / 4))
-
-
-def position_error(poses, truth):
-    """Root mean square of the distances after the best rigid motion of the
-    plane."""
-    points = [complex(p.local.x_meters, p.local.y_meters) for p in poses]
-    true = [complex(x, y) for x, y, _ in truth]
-    assert len(points) == len(true)
-    count = len(points)
-    middle, true_middle = sum(points) / count, sum(true) / count
-    turn = sum((t - true_middle) * (p - middle).conjugate()
-               for p, t in zip(points, true))
-    turn /= abs(turn)
-    return math.sqrt(sum(
-        abs(t - true_middle - turn * (p - middle)) ** 2
-        for p, t in zip(points, true)) / count)
 
 
 class Circle:

@@ -8,7 +8,7 @@ import pytest
 
 from revisit_server import Server, run
 from stubs import api
-from wire import PoseStream, append, batches, get, pose
+from wire import PoseStream, append, batches, boreas, get, pose
 
 SIGMA = 5.0
 HEADING = 0.05
@@ -126,3 +126,110 @@ def test_findings_are_the_same_after_a_restart_and_shown(tmp_path, seed):
         shown = run("revisit", "--server", server.address, "show", "gnss")
         assert shown.returncode == 0, shown.stderr
         assert before.findings[0].message in shown.stdout
+
+
+def behind(poses, others):
+    """These poses with sequences behind the others', as a client sends them whose
+    odometry began anew."""
+    moved = []
+    for n, p in enumerate(poses, len(others) + 1):
+        again = api.Pose()
+        again.CopyFrom(p)
+        again.sequence = n
+        moved.append(again)
+    return moved
+
+
+def new_frames(warnings):
+    return [w for w in warnings
+            if w.metadata.get("finding") == "FINDING_CODE_NEW_FRAME"]
+
+
+def appended(stub, vehicle, poses):
+    return [w for batch in batches(poses)
+            for w in append(stub, vehicle, batch).warnings]
+
+
+def test_a_recording_in_another_frame_is_told_with_its_first_pose(stub, new_vehicle):
+    vehicle = new_vehicle()
+    poses = reckoning()
+    warnings = appended(stub, vehicle, poses + behind(poses, poses))
+    assert len(new_frames(warnings)) == len(warnings) == 1
+    told = warnings[0].metadata
+    assert told["sequence"] == str(len(poses) + 1)
+    assert float(told["before_meters"]) > 3 * float(told["after_meters"])
+    assert float(told["before_radians"]) > 3 * float(told["after_radians"])
+    end = poses[-1].local
+    assert float(told["meters"]) == pytest.approx(
+        math.hypot(end.x_meters, end.y_meters), abs=10)
+    found = get(stub, vehicle)
+    assert codes_of(found) == ["NEW_FRAME"]
+    assert found.findings[0].message == warnings[0].message
+    assert f"sequence {len(poses) + 1} looks like the start" in warnings[0].message
+    assert "send each recording as a vehicle of its own" in warnings[0].message
+    # A third one is told as well, and then stands for all.
+    more = appended(stub, vehicle, behind(poses, 2 * poses))
+    assert [w.metadata["sequence"] for w in new_frames(more)] == [
+        str(2 * len(poses) + 1)]
+    assert codes_of(get(stub, vehicle)) == ["NEW_FRAME"]
+
+
+def test_a_new_frame_is_told_after_a_restart_and_no_second_time(tmp_path):
+    poses = reckoning()
+    with Server(tmp_path / "store") as server:
+        stub = server.stub()
+        stub.CreateVehicle(api.CreateVehicleRequest(vehicle_id="v"))
+        appended(stub, "vehicles/v", poses + behind(poses, poses))
+        before = get(stub, "vehicles/v").findings
+        assert len(before) == 1
+    with Server(tmp_path / "store") as server:
+        stub = server.stub()
+        assert list(get(stub, "vehicles/v").findings) == list(before)
+        last = poses[-1].local
+        on = [pose(2 * len(poses) + n, last.x_meters + n, last.y_meters,
+                   poses[-1].heading_radians, poses[-1].covariance.values)
+              for n in range(1, 20)]
+        assert not new_frames(appended(stub, "vehicles/v", on))
+
+
+def test_a_new_frame_is_gone_once_poses_are_revised_into_one(stub, new_vehicle):
+    vehicle = new_vehicle()
+    poses = reckoning()
+    appended(stub, vehicle, poses + behind(poses, poses))
+    # An optimiser has joined the two, and claims what it knows of the second.
+    whole = behind(reckoning(meters=4000.0), [])
+    stub.RevisePoses(iter([api.RevisePosesRequest(
+        vehicle=vehicle, poses=whole[:2 * len(poses)])]))
+    assert codes_of(get(stub, vehicle)) == []
+
+
+def test_one_recording_is_no_new_frame(stub, new_vehicle):
+    poses, _ = boreas()
+    assert not new_frames(appended(stub, new_vehicle(), poses))
+
+
+def test_the_command_line_names_the_flags_for_another_recording(server, tmp_path):
+    """Two files that both begin at the origin, as those of an odometry do."""
+    file = tmp_path / "drive.csv"
+    file.write_text("t,x,y,yaw\n" + "".join(
+        f"{n},{x},{y},{heading}\n"
+        for n, (x, y, heading) in enumerate(road(2000.0, 5.0))))
+
+    def stream(name, *flags):
+        done = run("revisit", "stream", file, "--vehicle", name, "--create",
+                   "--append", *flags, "--server", server.address)
+        assert done.returncode == 0, done.stderr
+        return done.stderr
+
+    assert "new recording" not in stream("silent")
+    said = stream("silent")
+    assert "sequence 401 looks like the start of a new recording" in said
+    assert "--start-sigma-position M --start-sigma-heading RAD" in said
+    assert "NEW_FRAME" not in stream("stated")
+    assert "new recording" not in stream(
+        "stated", "--start-sigma-position", "10", "--start-sigma-heading", "0.2")
+    assert codes_of(get(server.stub(), "vehicles/stated")) == []
+    # Several files are several recordings, too.
+    both = run("revisit", "stream", file, file, "--vehicle", "both", "--create",
+               "--server", server.address)
+    assert "looks like the start of a new recording" in both.stderr

@@ -476,6 +476,69 @@ def test_unknown_view_is_refused(stub, driven):
     assert failure.fields == ["view"]
 
 
+def graph_of(stub, vehicle, view):
+    parts = list(stub.ExportPoseGraph(api.ExportPoseGraphRequest(
+        vehicle=vehicle, view=view)))
+    return ([node for part in parts for node in part.nodes],
+            [edge for part in parts for edge in part.edges])
+
+
+def test_the_graph_is_had_as_it_was_sent_however_often_poses_are_revised(
+        stub, driven):
+    vehicle = driven()
+    stub.AddLoopClosure(api.AddLoopClosureRequest(
+        parent=vehicle, loop_closure=api.LoopClosure(
+            query_sequence=90, matched_sequence=10)))
+    before = graph_of(stub, vehicle, api.POSE_VIEW_CURRENT)
+    as_it_was = [as_bytes(part) for part in before]
+    assert any(edge.kind == api.EDGE_KIND_LOOP_CLOSURE for edge in before[1])
+    for moved in (bent(1, 101), bent(31, 20)):
+        revise(stub, vehicle, moved)
+        assert [as_bytes(part) for part in graph_of(
+            stub, vehicle, api.POSE_VIEW_AS_SENT)] == as_it_was
+        assert as_bytes(graph_of(
+            stub, vehicle, api.POSE_VIEW_CURRENT)[0]) != as_it_was[0]
+    # Poses that come later are in it too.
+    append(stub, vehicle, straight(10, first=102))
+    assert len(graph_of(stub, vehicle, api.POSE_VIEW_AS_SENT)[0]) > len(before[0])
+
+
+def test_a_graph_as_sent_of_a_vehicle_without_poses_is_empty(stub, new_vehicle):
+    assert graph_of(stub, new_vehicle(), api.POSE_VIEW_AS_SENT) == ([], [])
+
+
+def test_unknown_view_of_a_graph_is_refused(stub, driven):
+    failure = failure_of(lambda: graph_of(stub, driven(), 7))
+    assert failure.code == grpc.StatusCode.INVALID_ARGUMENT
+    assert failure.fields == ["view"]
+
+
+def test_poses_that_outrun_the_covariances_they_keep_are_warned_of(stub, driven):
+    vehicle = driven()
+
+    def revised(poses):
+        return stub.RevisePoses(iter([api.RevisePosesRequest(
+            vehicle=vehicle, poses=poses)])).warnings
+
+    moved = straight(101)
+    for p in moved[50:]:
+        p.local.y_meters += 0.2  # Two standard deviations.
+    assert not revised(moved)
+    for p in moved[50:]:
+        p.local.y_meters += 5.0 + 0.01 * p.sequence
+    warnings = revised(moved)
+    assert [w.reason for w in warnings] == [api.WARNING_REASON_COVARIANCES_KEPT]
+    assert warnings[0].metadata["poses"] == "51"
+    assert warnings[0].metadata["sequence"] == "101"
+    assert float(warnings[0].metadata["meters"]) == pytest.approx(6.01)
+    assert "51 of 51 poses have moved farther" in warnings[0].message
+    # With covariances of their own they say what they claim.
+    for p in moved:
+        p.local.y_meters += 5.0
+        p.covariance.values[0] = p.covariance.values[3] = 25.0
+    assert not revised(moved)
+
+
 def test_poses_not_named_keep_what_they_have(stub, driven):
     vehicle = driven()
     expected = straight(101)

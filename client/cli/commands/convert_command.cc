@@ -158,7 +158,7 @@ class Converter {
 
   absl::Status Read(const std::string& file) {
     file_ = file;
-    if (claims_.has_value()) claims_->SetName(file);
+    if (claims_.has_value()) claims_->BeginRecording(file);
     const auto reader = OpenSamples(file, options_.reader);
     if (!reader.ok()) return reader.status();
     for (;;) {

@@ -82,9 +82,11 @@ void WritePart(const v1::ExportPoseGraphResponse& part, ExportFormat format,
 }
 
 absl::Status ExportGraph(const Client& client, const std::string& vehicle,
-                         ExportFormat format, std::ostream& out) {
+                         ExportFormat format, v1::PoseView view,
+                         std::ostream& out) {
   v1::ExportPoseGraphRequest request;
   request.set_vehicle(vehicle);
+  request.set_view(view);
   WriteHeader(format, out);
   return client.ExportPoseGraph(request,
                                 [&](const v1::ExportPoseGraphResponse& part) {
@@ -204,7 +206,7 @@ absl::Status Export(const Client& client, const ExportOptions& options,
     case ExportFormat::kJsonLines:
     case ExportFormat::kNodesCsv:
     case ExportFormat::kEdgesCsv:
-      return ExportGraph(client, name, options.format, out);
+      return ExportGraph(client, name, options.format, options.view, out);
     default:
       break;
   }
@@ -253,7 +255,9 @@ constexpr char kExportDetails[] =
     "             sent, with the uncertainty that the step adds; an edge for "
     "each loop closure,\n"
     "             as measured\n"
-    "The graph of nodes, spaced evenly, on which searches are made:\n"
+    "The graph of nodes, spaced evenly, on which searches are made; with "
+    "--view as-sent, of nodes\n"
+    "along the path as it was sent:\n"
     "  jsonl      a JSON object a line: {\"vehicle\": ...}, then {\"node\": "
     "...} for each node,\n"
     "             then {\"edge\": ...} for each edge; protobuf JSON\n"
@@ -299,9 +303,10 @@ void AddExportCommand(const Command& program) {
     if (command.AsksForJson() && format != ExportFormat::kJsonLines) {
       return "-o json, --json: go with --format jsonl only";
     }
-    if (command.Given("--view") && format != ExportFormat::kTum &&
-        format != ExportFormat::kKitti && format != ExportFormat::kCsv) {
-      return "--view: goes with --format tum, kitti and csv only";
+    if (command.Given("--view") &&
+        (format == ExportFormat::kG2o || format == ExportFormat::kGeoJson)) {
+      return "--view: goes with neither --format g2o, which has both, nor "
+             "geojson";
     }
     return "";
   };

@@ -10,6 +10,7 @@
 #include "client/answers/exact_text.h"
 #include "client/answers/names.h"
 #include "client/revisit/printable_text.h"
+#include "client/trajectory/drive_poses.h"
 #include "client/trajectory/local_pose.h"
 #include "client/trajectory/stored_poses.h"
 
@@ -192,6 +193,9 @@ class Messages {
 // `missing` poses of the file are not among those that are kept.
 void Report(const v1::RevisePosesResponse& revised, const std::string& vehicle,
             std::int64_t missing, const Terminal& terminal) {
+  for (const v1::Warning& warning : revised.warnings()) {
+    terminal.progress << WarningText(warning) << '\n';
+  }
   if (terminal.json()) {
     terminal.out << ToJson(revised, true) << '\n';
     return;

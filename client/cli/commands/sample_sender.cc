@@ -66,7 +66,7 @@ SampleSender::SampleSender(const std::shared_ptr<grpc::Channel>& channel,
 void SampleSender::BeginFile(const std::string& file) {
   LetGo();
   file_ = file;
-  if (claims_.has_value()) claims_->SetName(file);
+  if (claims_.has_value()) claims_->BeginRecording(file);
 }
 
 absl::Status SampleSender::FinishStream() {

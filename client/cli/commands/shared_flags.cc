@@ -63,10 +63,21 @@ void AddUncertainty(const Command& command, UncertaintyOptions* options) {
   group.AddNumber("--fix-sigma", "M", &options->fix_position,
                   "Standard deviation of a receiver's fixes, east and north, "
                   "where the file states none");
-  group.AddNumber("--start-sigma-position", "M", &options->start_position,
-                  "Standard deviation of the first position");
-  group.AddNumber("--start-sigma-heading", "RAD", &options->start_heading,
-                  "Standard deviation of the first heading");
+  group.AddNumber(
+      "--start-sigma-position", "M",
+      [options](double meters) {
+        options->start_position = meters;
+        options->start_is_given = true;
+      },
+      "Standard deviation of the first position; where it is given, also of "
+      "that of each further recording, in the frame of those before (0.1)");
+  group.AddNumber(
+      "--start-sigma-heading", "RAD",
+      [options](double radians) {
+        options->start_heading = radians;
+        options->start_is_given = true;
+      },
+      "Standard deviation of the first heading, likewise (0.01)");
 }
 
 }  // namespace revisit::client

@@ -49,7 +49,7 @@ PoseStreamCallbacks MakeCallbacks(Tally* tally, Progress* progress,
       progress->Note(JumpText(jump));
     }
     for (const v1::Warning& warning : ack.warnings()) {
-      progress->Note(absl::StrCat("warning: ", Printable(warning.message())));
+      progress->Note(WarningText(warning));
     }
   };
   callbacks.candidates = [tally, &terminal](const v1::CandidateSet& set) {

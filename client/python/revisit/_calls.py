@@ -192,7 +192,7 @@ def list_poses(vehicle: str, first_sequence: int, as_sent: bool) -> Pages[v1.Pos
     return Pages("ListPoses", v1.ListPosesRequest(
         parent=vehicle_name(vehicle), page_size=_POSES_PAGE,
         first_sequence=first_sequence,
-        view=v1.POSE_VIEW_AS_SENT if as_sent else v1.POSE_VIEW_CURRENT,
+        view=_view(as_sent),
     ), "poses", order="sequence")
 
 
@@ -211,7 +211,11 @@ def revise_poses(vehicle: str, poses: PosesLike,
                 is_safe=expected_revision != 0, is_bulk=True)
 
 
-def export_pose_graph(vehicle: str) -> Call[PoseGraph]:
+def _view(as_sent: bool) -> v1.PoseView:
+    return v1.POSE_VIEW_AS_SENT if as_sent else v1.POSE_VIEW_CURRENT
+
+
+def export_pose_graph(vehicle: str, as_sent: bool) -> Call[PoseGraph]:
     def graph(parts: list[v1.ExportPoseGraphResponse]) -> PoseGraph:
         return PoseGraph(
             parts[0].vehicle if parts else v1.Vehicle(),
@@ -219,7 +223,8 @@ def export_pose_graph(vehicle: str) -> Call[PoseGraph]:
             edge_table(edge for part in parts for edge in part.edges))
 
     return Call("ExportPoseGraph",
-                v1.ExportPoseGraphRequest(vehicle=vehicle_name(vehicle)), graph,
+                v1.ExportPoseGraphRequest(vehicle=vehicle_name(vehicle),
+                                          view=_view(as_sent)), graph,
                 is_bulk=True, answers_stream=True)
 
 

@@ -8,7 +8,7 @@ import functools
 import logging
 import time
 from collections.abc import Iterator
-from typing import Any, Callable, Optional
+from typing import Any, Callable, Optional, Union
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from revisit import v1
 from revisit._pending import PendingPoses
 from revisit._text import printable
-from revisit._warnings import text_of
+from revisit._warnings import kind_of, text_of
 from revisit.arrays import Poses, PosesLike
 from revisit.backoff import Backoff
 from revisit.channel import Metadata
@@ -365,11 +365,11 @@ class StreamState:
         self.ended = True
 
 
-def log_warnings(vehicle: str, ack: v1.Ack, known: set[str]) -> None:
-    """Logs the warnings of an acknowledgement, each kind once: `known` has those that
-    were."""
-    for warning in ack.warnings:
-        kind = warning.metadata.get("finding") or str(warning.reason)
+def log_warnings(vehicle: str, answer: Union[v1.Ack, v1.RevisePosesResponse],
+                 known: set[str]) -> None:
+    """Logs the warnings of an answer, each kind once: `known` has those that were."""
+    for warning in answer.warnings:
+        kind = kind_of(warning)
         if kind not in known:
             known.add(kind)
             log.warning("%s: %s", printable(vehicle), text_of(warning))

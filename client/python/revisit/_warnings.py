@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Optional
 
 from revisit import v1
 from revisit._text import printable
@@ -33,15 +34,40 @@ _ADVICE = {
     v1.WARNING_REASON_STEEP_PATH:
         "turn positions and orientations into axes whose z points up: of a camera's "
         "x, y, z, they are z, -x, -y",
+    v1.WARNING_REASON_COVARIANCES_KEPT:
+        "give Poses larger covariances, which grow along the path if errors are those "
+        "of dead reckoning",
     v1.WARNING_REASON_FINDING: "update_vehicle() takes settings as keywords",
 }
+
+
+#: For findings that no setting mends.
+_FINDING_ADVICE = {
+    v1.FindingCode.Name(v1.FINDING_CODE_NEW_FRAME):
+        "stream each recording into a vehicle of its own; "
+        "read_recording([first, second], start_sigma_position=..., "
+        "start_sigma_heading=...) claims how uncertain the second one's start is in "
+        "the frame of the first",
+}
+
+
+def _advice(warning: v1.Warning) -> Optional[str]:
+    if warning.reason == v1.WARNING_REASON_HEADING_OFF_COURSE:
+        return _off_course(warning)
+    return (_FINDING_ADVICE.get(warning.metadata.get("finding", ""))
+            or _ADVICE.get(warning.reason))
+
+
+def kind_of(warning: v1.Warning) -> str:
+    """What tells warnings apart: each new frame is one of its own."""
+    finding = warning.metadata.get("finding", "")
+    return (f"{finding} {warning.metadata.get('sequence', '')}"
+            if finding in _FINDING_ADVICE else finding or str(warning.reason))
 
 
 def text_of(warning: v1.Warning) -> str:
     """The server's words, and what to do in the words of this package. Fit for a
     terminal."""
-    advice = (_off_course(warning)
-              if warning.reason == v1.WARNING_REASON_HEADING_OFF_COURSE
-              else _ADVICE.get(warning.reason))
+    advice = _advice(warning)
     said = printable(warning.message)
     return f"{said}. What to do: {advice}" if advice else said

@@ -204,12 +204,15 @@ class Client:
                      expected_revision: int = 0) -> v1.RevisePosesResponse:
         """Replaces the estimates of poses in one step, after an optimiser ran. With
         the revision that the optimiser started from, Aborted if the vehicle has
-        another one by now."""
-        return self._run(_calls.revise_poses(vehicle, poses, expected_revision))
+        another one by now. The warnings of the answer are logged too."""
+        answer = self._run(_calls.revise_poses(vehicle, poses, expected_revision))
+        log_warnings(vehicle_name(vehicle), answer, set())
+        return answer
 
-    def export_pose_graph(self, vehicle: str) -> PoseGraph:
-        """The whole graph at one revision."""
-        return self._run(_calls.export_pose_graph(vehicle))
+    def export_pose_graph(self, vehicle: str, *, as_sent: bool = False) -> PoseGraph:
+        """The whole graph at one revision, of poses as they were last revised or as
+        they were sent. The nodes of the two are others, by index and by number."""
+        return self._run(_calls.export_pose_graph(vehicle, as_sent))
 
     # Files and maps, by the program revisit.
 

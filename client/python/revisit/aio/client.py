@@ -173,10 +173,14 @@ class Client:
 
     async def revise_poses(self, vehicle: str, poses: PosesLike,
                            expected_revision: int = 0) -> v1.RevisePosesResponse:
-        return await self._run(_calls.revise_poses(vehicle, poses, expected_revision))
+        answer = await self._run(
+            _calls.revise_poses(vehicle, poses, expected_revision))
+        log_warnings(vehicle_name(vehicle), answer, set())
+        return answer
 
-    async def export_pose_graph(self, vehicle: str) -> PoseGraph:
-        return await self._run(_calls.export_pose_graph(vehicle))
+    async def export_pose_graph(self, vehicle: str, *,
+                                as_sent: bool = False) -> PoseGraph:
+        return await self._run(_calls.export_pose_graph(vehicle, as_sent))
 
     # Files and maps, by the program revisit.
 

@@ -1,0 +1,89 @@
+// Watches for poses that go on in another frame, as where an odometry began
+// anew and its recording was sent behind another one's.
+//
+// Searches take the poses of a drive to be in one frame, and errors to be
+// carried on along it. So what belies that can be seen where claims are to grow
+// (ClaimedGrowth::kGrows), between two poses that follow each other:
+//
+//   fall     The claims shrink: the later variance of the position is less than
+//            1/kFall of the earlier one, as it is and carried on by dead
+//            reckoning, and so is that of the heading; or the heading's has
+//            stayed, as a compass lets it, and the vehicle leaps. Errors that
+//            are carried on allow neither.
+//   return   The vehicle leaps to where the first node is, or to the origin,
+//            heading as there, and the claims grow over the leap as over any
+//            way of this length: nobody has said that the start is uncertain.
+//
+// A leap is at least kLeapMeters long, and kUsualSteps times as long as the
+// step before it. Nothing is judged over poses that were dropped.
+//
+// What is compared are nodes: the last one before a step between two poses, and
+// the first one behind it. So what is seen is a function of the graph alone,
+// and nothing of it has to be stored. O(1) per node.
+//
+// Thread-compatible.
+#ifndef REVISIT_CORE_DRIVE_FRAME_WATCH_H_
+#define REVISIT_CORE_DRIVE_FRAME_WATCH_H_
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+
+#include "core/drive/dropped_stretch.h"
+#include "core/drive/findings.h"
+#include "core/drive/pose_graph.h"
+
+namespace revisit::core {
+
+class FrameWatch {
+ public:
+  static constexpr double kFall = 4.0;
+  static constexpr double kLeapMeters = 20.0;
+  static constexpr double kUsualSteps = 4.0;
+  // How near a return leads to the first node or to the origin, beside the
+  // spacing of the nodes.
+  static constexpr double kReturnMeters = 1.0;
+  static constexpr double kReturnRadians = 0.2;
+  // Claims that grow by so many times what is usual say that more is uncertain
+  // than the way.
+  static constexpr double kUsualGrowth = 1.25;
+
+  explicit FrameWatch(double node_spacing_meters)
+      : return_meters_(node_spacing_meters + kReturnMeters) {}
+
+  // Looks at the nodes by which the graph has grown. REQUIRES: the same two at
+  // each call.
+  void Extend(const PoseGraph& graph, const DroppedStretches& dropped);
+
+  // The last frame that has begun; null if none has.
+  const NewFrame* last() const { return last_ ? &*last_ : nullptr; }
+
+ private:
+  void Look(const Node& node, bool starts_segment, bool is_behind_gap);
+  // Judges the way between two nodes. `middle`: the last node of the step
+  // between them; null for a jump. `usual_meters`: the step before them.
+  void Judge(const Node& before, const Node* middle, const Node& after,
+             double usual_meters);
+  bool HasReturned(const Pose& pose) const;
+  // Whether the claims grow over a leap as over the whole way before it.
+  bool GrowsAsUsual(const Node& before, const Node& after) const;
+  // The last node of the stretch between two poses before the last such one,
+  // and so on; 0 is the last. REQUIRES: k < ends_count_.
+  const Node& End(std::size_t k) const { return ends_[ends_count_ - 1 - k]; }
+  void AddEnd(const Node& node);
+
+  double return_meters_;
+  NodeIndex next_ = 0;
+  // Stretches that were dropped before the next node.
+  std::size_t gaps_ = 0;
+  Node first_;
+  // The last nodes between the same two poses each, of one segment, in order.
+  std::array<Node, 3> ends_;
+  std::size_t ends_count_ = 0;
+  std::optional<NewFrame> last_;
+};
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_DRIVE_FRAME_WATCH_H_
