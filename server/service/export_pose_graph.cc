@@ -1,6 +1,8 @@
 #include "server/service/export_pose_graph.h"
 
+#include <algorithm>
 #include <chrono>
+#include <cstdint>
 #include <memory>
 #include <string>
 #include <utility>
@@ -29,6 +31,20 @@ namespace {
 // Nodes per message, which makes about 100 KiB.
 constexpr core::NodeIndex kNodesAMessage = 512;
 constexpr core::NodeIndex kEdgesAMessage = 4096;
+
+// What the caller has of an earlier export.
+struct KnownNodes {
+  std::string nodes_id;
+  std::int64_t count = 0;
+};
+
+// The first node that the caller has not, or 0 if it has to have all anew.
+core::NodeIndex FirstNode(const VehicleView& view, const KnownNodes& known) {
+  const core::NodeIndex size = view.drive.graph().size();
+  const bool goes_on = known.nodes_id == view.nodes_id && known.count >= 0 &&
+                       known.count <= size;
+  return goes_on ? known.count : 0;
+}
 
 // Writes a graph piece by piece: the next piece is made when the last has gone
 // out.
@@ -85,13 +101,16 @@ class Export final : public WritingCall<Export> {
       return status;
     }
     context_.fleet->Session(*id)->LongRead(
-        [self = shared_from_this()](const absl::StatusOr<VehicleView>& view) {
-          self->OnRead(view);
+        [self = shared_from_this(),
+         known = KnownNodes{request.nodes_id(), request.first_node_index()}](
+            const absl::StatusOr<VehicleView>& view) {
+          self->OnRead(view, known);
         });
     return absl::OkStatus();
   }
 
-  void OnRead(const absl::StatusOr<VehicleView>& view) {
+  void OnRead(const absl::StatusOr<VehicleView>& view,
+              const KnownNodes& known) {
     const absl::StatusOr<std::shared_ptr<const ExportedGraph>> exported =
         view.ok()
             ? context_.exported_graphs->Take(*view,
@@ -109,6 +128,10 @@ class Export final : public WritingCall<Export> {
     exported_ = *exported;
     damage_ = view->damage;
     EncodeVehicle(*view, message_.mutable_vehicle());
+    next_node_ = FirstNode(*view, known);
+    next_consecutive_ = std::max<core::NodeIndex>(next_node_, 1);
+    message_.set_nodes_id(std::string(view->nodes_id));
+    message_.set_first_node_index(next_node_);
     alarm_ = AlarmAfter(patience_, &Export::Look);
     Continue();
   }
