@@ -2,7 +2,7 @@
 // Note and outcome belong to the pair, so that what comes late is told where it
 // belongs, and nothing that was typed for one pair goes to another.
 import {signal} from '@preact/signals';
-import {useEffect, useRef} from 'preact/hooks';
+import {useEffect, useLayoutEffect, useRef} from 'preact/hooks';
 
 import {type Found, pairOf} from '../data/candidates.js';
 import {type Deed, type Decision, keyOfPair, type Pair, pairName} from
@@ -151,7 +151,8 @@ export function DecisionPanel({store, pair, queue}: Props) {
     return () => removeEventListener('keydown', onKey);
   }, []);
   // Another pair, another place for the focus: the next Tab leads to its note.
-  useEffect(() => panel.current?.focus({preventScroll: true}), [key]);
+  // At once, since somebody who types fast may be in the note before a frame.
+  useLayoutEffect(() => panel.current?.focus({preventScroll: true}), [key]);
 
   return (
     <section class="decision" aria-label="Decision" tabIndex={-1} ref={panel}>
@@ -160,11 +161,13 @@ export function DecisionPanel({store, pair, queue}: Props) {
       </p>
       <label>
         Note, kept with the decision about {pairName(pair)}
+        {/* It takes the focus also while it takes no text: letters that are
+            typed into it are never keys of the view. */}
         <input key={key} ref={note} type="text" name="note" maxLength={1024}
                value={book.drafts.notes.value.get(key) ?? ''}
                onInput={event => book.drafts.set(key,
                                                  event.currentTarget.value)}
-               disabled={decision !== undefined || busy} />
+               readOnly={decision !== undefined || busy} />
       </label>
       <div class="buttons">
         <button type="button" class="confirm" disabled={!!decision || busy}
