@@ -1,6 +1,8 @@
 #include "server/service/export_pose_graph.h"
 
+#include <algorithm>
 #include <chrono>
+#include <cstdint>
 #include <memory>
 #include <string>
 #include <utility>
@@ -30,6 +32,29 @@ namespace {
 // Nodes per message, which makes about 100 KiB.
 constexpr core::NodeIndex kNodesAMessage = 512;
 constexpr core::NodeIndex kEdgesAMessage = 4096;
+
+// What a request asks for, and what its caller has of an earlier export.
+struct Asked {
+  BatchVersion version = BatchVersion::kCurrent;
+  std::string nodes_id;
+  std::int64_t known_nodes = 0;
+};
+
+// Identity of the nodes that are exported. Those of poses as they were sent
+// have none, since each export makes them anew.
+std::string NodesId(const VehicleView& view, BatchVersion version) {
+  return version == BatchVersion::kAsSent ? std::string()
+                                          : std::string(view.nodes_id);
+}
+
+// The first node that the caller does not have: of a graph of `size` nodes with
+// this identity.
+core::NodeIndex FirstNode(const std::string& nodes_id, core::NodeIndex size,
+                          const Asked& asked) {
+  const bool goes_on = !nodes_id.empty() && asked.nodes_id == nodes_id &&
+                       asked.known_nodes >= 0 && asked.known_nodes <= size;
+  return goes_on ? asked.known_nodes : 0;
+}
 
 // Writes a graph piece by piece: the next piece is made when the last has gone
 // out.
@@ -87,12 +112,13 @@ class Export final : public WritingCall<Export> {
     if (absl::Status status = ChooseVehicle(*id); !status.ok()) {
       return status;
     }
+    const Asked asked{*version, request.nodes_id(), request.first_node_index()};
     const auto session = context_.fleet->Session(*id);
-    const ViewCallback read = [self = shared_from_this(), version = *version](
-                                  const absl::StatusOr<VehicleView>& view) {
-      self->OnRead(view, version);
+    const ViewCallback read = [self = shared_from_this(),
+                               asked](const absl::StatusOr<VehicleView>& view) {
+      self->OnRead(view, asked);
     };
-    if (*version == BatchVersion::kAsSent) {
+    if (asked.version == BatchVersion::kAsSent) {
       session->ReadStored(read);
     } else {
       session->LongRead(read);
@@ -106,10 +132,10 @@ class Export final : public WritingCall<Export> {
     return room().AdmitExport(bytes);
   }
 
-  void OnRead(const absl::StatusOr<VehicleView>& view, BatchVersion version) {
+  void OnRead(const absl::StatusOr<VehicleView>& view, const Asked& asked) {
     const absl::StatusOr<std::shared_ptr<const ExportedGraph>> exported =
         view.ok() ? context_.exported_graphs->Take(
-                        *view, version, context_.storage,
+                        *view, asked.version, context_.storage,
                         [this](std::size_t bytes) { return Admit(bytes); })
                   : view.status();
     const MutexLock lock(&mutex_);
@@ -122,6 +148,10 @@ class Export final : public WritingCall<Export> {
     exported_ = *exported;
     damage_ = view->damage;
     EncodeVehicle(*view, message_.mutable_vehicle());
+    message_.set_nodes_id(NodesId(*view, asked.version));
+    next_node_ = FirstNode(message_.nodes_id(), exported_->graph.size(), asked);
+    next_consecutive_ = std::max<core::NodeIndex>(next_node_, 1);
+    message_.set_first_node_index(next_node_);
     alarm_ = AlarmAfter(patience_, &Export::Look);
     Continue();
   }

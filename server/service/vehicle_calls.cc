@@ -48,7 +48,7 @@ absl::StatusOr<VehicleConfig> NewConfig(
     return status;
   }
   config->create_time_ns = NowNanoseconds();
-  config->uid = NewVehicleUid();
+  config->uid = NewUuid();
   return config;
 }
 

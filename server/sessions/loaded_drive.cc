@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "core/drive/pose_graph.h"
+#include "server/sessions/vehicle_uid.h"
 
 namespace revisit::server {
 
@@ -26,6 +27,7 @@ void LoadedDrive::Take(std::unique_ptr<core::Drive> drive,
                        std::vector<core::Jump> jumps, const Kept& kept) {
   drive_ = std::move(drive);
   ++series_;
+  nodes_id_ = NewUuid();
   search_ = std::make_unique<core::Search>(drive_.get());
   jumps_ = std::move(jumps);
   snapshots_->Begin(*drive_, kept.parts, kept.sequence);

@@ -5,6 +5,7 @@
 #include <atomic>
 #include <cstdint>
 #include <memory>
+#include <string>
 #include <vector>
 
 #include "core/drive/drive.h"
@@ -32,6 +33,9 @@ class LoadedDrive {
   core::Search* search() const { return search_.get(); }
   // Grows whenever the drive is another.
   std::uint64_t series() const { return series_; }
+  // As series(), but differs from those of all vehicles and servers too: while
+  // it is the same, nodes are only added.
+  const std::string& nodes_id() const { return nodes_id_; }
   // The jumps of the drive, by sequence; those of [first, last].
   const std::vector<core::Jump>& jumps() const { return jumps_; }
   std::vector<core::Jump> JumpsAt(std::uint64_t first,
@@ -79,6 +83,7 @@ class LoadedDrive {
   std::unique_ptr<core::Drive> drive_;
   std::unique_ptr<core::Search> search_;
   std::uint64_t series_ = 0;
+  std::string nodes_id_;
   std::vector<core::Jump> jumps_;
   // Nodes with which the drive is looked at for what to drop.
   core::NodeIndex look_at_ = 0;

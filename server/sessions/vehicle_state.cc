@@ -48,7 +48,8 @@ VehicleView VehicleState::View() const {
                      &pairs.rejections(),
                      head.damage(),
                      head.config_is_known(),
-                     loaded.search()};
+                     loaded.search(),
+                     loaded.nodes_id()};
 }
 
 void VehicleState::Report() const {

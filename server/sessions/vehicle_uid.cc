@@ -28,7 +28,7 @@ std::string ToUuid(Bytes bytes, unsigned version) {
 
 }  // namespace
 
-std::string NewVehicleUid() {
+std::string NewUuid() {
   Bytes bytes;
   // Reading so few bytes cannot fail once the system has its entropy, and the
   // call blocks until then.

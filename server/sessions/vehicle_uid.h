@@ -10,8 +10,9 @@
 
 namespace revisit::server {
 
-// Random, of version 4.
-std::string NewVehicleUid();
+// A random UUID of version 4: the uid of a new vehicle, and whatever else has to
+// differ from all that there were.
+std::string NewUuid();
 
 // The uid of a vehicle that was stored before there were uids. It is made from
 // the stored record, so that it is always the same and nothing has to be

@@ -6,6 +6,7 @@
 #include <functional>
 #include <map>
 #include <string>
+#include <string_view>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
@@ -38,6 +39,8 @@ struct VehicleView {
   bool config_is_known = true;
   // Asks the drive, one callback at a time. Never null in a callback.
   core::Search* search = nullptr;
+  // See ExportPoseGraphResponse.
+  std::string_view nodes_id = {};
 
   // Sequence of the first pose that is kept.
   std::uint64_t first_kept_sequence() const;

@@ -79,7 +79,7 @@ async function groundIs(page, north, south) {
 }
 
 async function openVan(options) {
-  const page = await world.open('/vehicles/van?hide=ellipse', options);
+  const page = await world.open('/vehicles/van?show=accepted', options);
   await page.locator('.map canvas').waitFor();
   return page;
 }
@@ -196,7 +196,7 @@ test('saved files have the map in them', async () => {
 test('the fleet has it, and a local frame has none', async () => {
   const page = await world.open('/?search=van');
   await page.locator('.attribution').waitFor();
-  await page.goto(world.console.url + '/vehicles/local?hide=ellipse');
+  await page.goto(world.console.url + '/vehicles/local?show=accepted');
   await page.locator('.map canvas').waitFor();
   await until(async () => (await pixelsOf(page, '--path')).count > 300, 'path');
   assert.equal(await page.getByLabel('Base map').count(), 0);
@@ -224,7 +224,7 @@ test('vector tiles are drawn in the colours of the page', async () => {
   try {
     for (const colorScheme of ['light', 'dark']) {
       const page = await world.open('/', {colorScheme});
-      await page.goto(console.url + '/vehicles/van?hide=ellipse');
+      await page.goto(console.url + '/vehicles/van?show=accepted');
       const [green, water] = await page.evaluate(
           names => names.map(name => {
             const value = parseInt(

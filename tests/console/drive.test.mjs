@@ -43,7 +43,7 @@ test('a drive grows on the map while it is streamed', async () => {
   feed(lines.slice(0, 700));
   await until(() => world.revisitd.cli('vehicle', 'list').includes('boreas'),
               'vehicle');
-  page = await world.open('/vehicles/boreas?hide=ellipse');
+  page = await world.open('/vehicles/boreas?show=accepted');
   await page.locator('.map canvas').waitFor();
   const sizes = [await until(() => number(page, 'Nodes'), 'nodes')];
   await until(async () => await pixels(page, '--path') > 300, 'path drawn');
@@ -72,7 +72,15 @@ test('the page asks at as many checks as a stream has', async () => {
       'file', '--candidates', '--json');
   const {length} = printed.match(/"nodesConsidered"/g);
   assert.ok(length > 300);
-  await page.getByText(`of ${length} checks answered`).waitFor();
+  const last = page.getByText('of the last 100.');
+  await last.waitFor();
+  assert.match(await last.innerText(),
+               new RegExp(`^${length} checks fell due`));
+  await page.getByText('100 of 100 checks answered').waitFor();
+  const more = page.getByRole('button', {name: 'earlier ones'});
+  for (let left = length - 100; left > 0; left -= 100) await more.click();
+  await page.getByText(`${length} of ${length} checks answered`).waitFor();
+  await more.waitFor({state: 'detached'});
 });
 
 test('checks show the candidates that the server answers', async () => {
@@ -100,7 +108,8 @@ test('a candidate is confirmed with a note, by keys, and that is undone',
   await page.keyboard.type('seen by hand');
   await page.keyboard.press('Escape');
   await page.keyboard.press('c');
-  await page.getByText('Confirmed. Later searches build on it.').waitFor();
+  await page.getByText(/^Confirmed [\d,]+–[\d,]+\. Later searches build on it/)
+      .first().waitFor();
   const {loopClosures} =
       world.revisitd.cli('closures', 'list', 'boreas', '--json');
   assert.equal(loopClosures.length, 1);
@@ -109,7 +118,10 @@ test('a candidate is confirmed with a note, by keys, and that is undone',
   await page.getByText('Loop closures: 1.').waitFor();
   await page.locator('.decision').getByText('seen by hand').waitFor();
   await page.keyboard.press('u');
-  await page.getByText('Undone.').waitFor();
+  const {querySequence, matchedSequence} = loopClosures[0];
+  const pair = [querySequence, matchedSequence].map(
+      sequence => Number(sequence).toLocaleString('en')).join('–');
+  await page.getByText(`Undone: confirmed ${pair}.`).first().waitFor();
   assert.equal(world.revisitd.cli('closures', 'list', 'boreas', '--json')
                    .loopClosures.length, 0);
 });
@@ -211,7 +223,7 @@ test('the time slider shows what was known then, and nothing later',
     revisitd.cli('confirm', 'boreas', String(query), String(matched));
     revisitd.cli('reject', 'boreas', String(query + 30), String(matched + 15));
   }
-  await page.goto(world.console.url + '/vehicles/boreas?at=350&hide=ellipse');
+  await page.goto(world.console.url + '/vehicles/boreas?at=350&show=accepted');
   await page.locator('.legend', {hasText: 'Later path'}).waitFor();
   await until(async () => await pixels(page, '--path-ahead') > 300,
               'path that is yet to come');
@@ -237,7 +249,7 @@ test('the time slider shows what was known then, and nothing later',
   const {last: line} = await curvePixels(page, 'Travelled', '--selected');
   assert.ok(end > 0 && end <= line + 2, `${end} behind ${line}`);
 
-  await page.goto(world.console.url + '/vehicles/boreas?at=440&hide=ellipse');
+  await page.goto(world.console.url + '/vehicles/boreas?at=440&show=accepted');
   await page.getByText(answered).waitFor();
   await until(async () => await number(page, 'Loop closures') === 2 &&
               await number(page, 'Rejected') === 1, 'second closure');

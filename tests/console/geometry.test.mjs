@@ -4,11 +4,14 @@ import {before, test} from 'node:test';
 
 import {load} from './world.mjs';
 
-let pyramid, path, rigid, ellipse;
+let pyramid, path, rigid, ellipse, frames, graphs, graticules, links;
 before(async () => {
-  [pyramid, path, rigid, ellipse] = await Promise.all(
-      ['pyramid', 'path', 'rigid', 'ellipse'].map(
+  [pyramid, path, rigid, ellipse, frames] = await Promise.all(
+      ['pyramid', 'path', 'rigid', 'ellipse', 'frame'].map(
           name => load(`web/geometry/${name}.ts`)));
+  [graphs, graticules, links] = await Promise.all(
+      ['web/data/graph.ts', 'web/draw/graticule.ts', 'shared/links.ts'].map(
+          name => load(name)));
 });
 
 /** A winding path of 2 m steps that is cut once. */
@@ -52,6 +55,77 @@ test('no node lies farther from the drawn path than half a pixel', () => {
       assert.ok(distance <= 0.53 * metersPerPixel, `${distance} m at node ${
           i}, ${metersPerPixel} m a pixel`);
     }
+  }
+});
+
+test('a graph that grew piece by piece is the one that is made at once', () => {
+  const ends = [900, 901, 2048, 2049, 2500, 2501, 4600, 6000];
+  const whole = winding(6000, 2500);
+  const items = {sequence: 1, fraction: 1, time: 1, travelled: 1, x: 1, y: 1,
+                 heading: 1, covariance: 3, joined: 1};
+  const all = {...graphs.noNodes(6000), x: whole.x, y: whole.y,
+               joined: whole.joined};
+  all.covariance.forEach((_, i) => all.covariance[i] = i);
+  const nodes = (from, to) => Object.fromEntries(Object.entries(items).map(
+      ([name, width]) => [name, all[name].slice(width * from, width * to)]));
+  let graph = {...nodes(0, 900), size: 900, revision: 1, nodesId: 'a',
+               closures: new Uint32Array(0)};
+  graph.pyramid = pyramid.buildPyramid(graph.x, graph.y, graph.joined);
+  const first = graph;
+  const before = first.x.slice();
+  ends.slice(1).forEach((end, i) => {
+    graph = graphs.grown(graph, {revision: i + 2, nodes: nodes(ends[i], end),
+                                 closures: Uint32Array.of(1, i)});
+  });
+  assert.equal(graph.size, 6000);
+  assert.equal(graph.revision, ends.length);
+  for (const name of Object.keys(items)) {
+    assert.deepEqual(graph[name], all[name], name);
+  }
+  assert.deepEqual(graph.pyramid, whole.pyramid);
+  // What others look at meanwhile stays as it was.
+  assert.deepEqual(first.x, before);
+});
+
+test('lines of latitude and longitude lie where their numbers say', () => {
+  for (const frame of [frames.mercatorFrame({latitude: 52.5, longitude: 13.4}),
+                       frames.tangentFrame({latitude: -33.9, longitude: 151.2},
+                                           40)]) {
+    for (const metersPerPixel of [0.05, 2, 100]) {
+      const view = {x: 900, y: -400, metersPerPixel, width: 900, height: 500};
+      const made = new graticules.Graticule(frame);
+      const labels = made.labelsIn(view);
+      assert.ok(labels.length >= 3 && labels.length < 40, `${labels.length}`);
+      for (const {text, left, top} of labels) {
+        const x = view.x + (left - view.width / 2) * metersPerPixel;
+        const y = view.y - (top - view.height / 2) * metersPerPixel;
+        const place = frames.toEarth(frame, x, y);
+        const [degrees, side] = text.split('° ');
+        const said = Number(degrees) * (/[NE]/.test(side) ? 1 : -1);
+        const got = /[NS]/.test(side) ? place.latitude : place.longitude;
+        assert.ok(Math.abs(said - got) * 111_000 < 5 * metersPerPixel,
+                  `${text} at ${got}`);
+      }
+      assert.ok(made.shape.segmentsIn(view).length > 0);
+    }
+  }
+});
+
+test('a link holds the values of its pair, encoded, and nothing else', () => {
+  const values = {vehicle: 'a&b', pose_a: '12', pose_b: '3',
+                  time_a: '2026-01-01T00:00:00.250Z', time_b: undefined,
+                  unix_a: '1.000', unix_b: undefined};
+  const link = template => links.linkFor({name: 'x', template}, values);
+  assert.equal(link('https://host/{vehicle}?t={time_a}#{pose_b}'),
+               'https://host/a%26b?t=2026-01-01T00%3A00%3A00.250Z#3');
+  assert.equal(link('https://host/{time_b}'), undefined);
+  for (const template of [
+    'javascript:alert({pose_a})', 'https://{vehicle}/', 'https://host{pose_a}/',
+    'http:{vehicle}', 'ftp://host/{vehicle}', 'https://host/{pose_c}',
+    'https://me:secret@host/{vehicle}', '//host/{vehicle}', 'https://',
+  ]) {
+    assert.notEqual(links.problemOf(template), undefined, template);
+    assert.equal(link(template), undefined, template);
   }
 });
 

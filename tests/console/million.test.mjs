@@ -102,7 +102,7 @@ async function pan(mouse, x, y) {
 test('a million nodes pan at 30 frames a second or more', async t => {
   // At an early pose no check has fallen due, and the server searches nothing
   // beside: all of the path is drawn, nearly all of it as the later one.
-  const page = await world.open('/vehicles/million?hide=ellipse&at=10');
+  const page = await world.open('/vehicles/million?show=accepted&at=10');
   await page.locator('.map canvas').waitFor({timeout: 240_000});
   const [, nodes] = /([\d,]+) nodes/.exec(
       await page.locator('.title [role=status]').textContent());
@@ -149,12 +149,12 @@ test('a million nodes pan at 30 frames a second or more', async t => {
 
 test('a view says if candidates are those of the last checks only',
      async () => {
-  const page = await world.open('/vehicles/million?hide=ellipse&at=4000');
-  const said = page.getByText('candidates are those of the last 500');
+  const page = await world.open('/vehicles/million?show=accepted&at=4000');
+  const said = page.getByText('candidates are those of the last 100');
   await said.waitFor({timeout: 240_000});
   const [, due] = /^([\d,]+) checks fell due/.exec(await said.innerText());
   // 80 km with a check each 50 m, but for the first 300 m.
   assert.ok(Math.abs(Number(due.replaceAll(',', '')) - 1594) < 5, due);
-  await page.getByText('of 500 checks answered').waitFor();
+  await page.getByText('of 100 checks answered').waitFor();
   await page.context().close();
 });

@@ -6,8 +6,8 @@ import {request} from 'node:http';
 import {join} from 'node:path';
 import {after, before, test} from 'node:test';
 
-import {DRIVE, fact, isAccessible, OUT, pixelsOf, track, until, World} from
-    './world.mjs';
+import {DRIVE, fact, isAccessible, OUT, pixels, pixelsOf, track, until, World}
+    from './world.mjs';
 
 const WIDTHS = [1440, 390];
 
@@ -17,7 +17,10 @@ let views;
 
 before(async () => {
   world = await World.make(
-      [], ({revisitd}) => ['--metrics', revisitd.metrics]);
+      [], ({revisitd}) => [
+        '--metrics', revisitd.metrics,
+        '--link', 'camera=https://pictures.example/{vehicle}/{time_a}',
+        '--link', 'viewer=https://viewer.example/?a={pose_a}&b={unix_b}']);
   const {revisitd} = world;
   revisitd.cli('stream', DRIVE, '--create', '--vehicle', 'boreas',
                '--uncertainty', 'file');
@@ -35,8 +38,9 @@ before(async () => {
     const [{query, matched}] = found.candidates;
     revisitd.cli(command, 'boreas', String(query.sequence),
                  String(matched.sequence), '--note', note);
+    return `${query.sequence}-${matched.sequence}`;
   };
-  decide('confirm', '1500', 'seen by hand');
+  const confirmed = decide('confirm', '1500', 'seen by hand');
   decide('reject', '1240', 'another road, below the bridge');
   views = [
     ['fleet', '/', 'tbody a'],
@@ -47,6 +51,11 @@ before(async () => {
              .candidates[0].matched.sequence}`,
      '.curve canvas'],
     ['server', '/server', '.columns meter'],
+    ['all-verdicts', '/vehicles/boreas?at=1300&show=ellipse,accepted,' +
+         'ambiguous,uninformative,rejected-by-shape,rejected-by-gate',
+     '.side tbody a'],
+    ['decided', `/vehicles/boreas/candidates/${confirmed}`, '.curve canvas'],
+    ['geodetic', '/vehicles/van-1', '.map .degrees'],
   ];
 });
 after(() => world?.close());
@@ -65,7 +74,7 @@ test('no view breaks a rule of axe, light or dark, wide or narrow',
         const page = await opened(view, {
           colorScheme, viewport: {width, height: 900},
         });
-        if (view[0] === 'vehicle') {
+        if (['vehicle', 'all-verdicts'].includes(view[0])) {
           await page.getByText(/^(\d+) of \1 checks answered$/).waitFor();
         }
         await page.screenshot({
@@ -73,6 +82,14 @@ test('no view breaks a rule of axe, light or dark, wide or narrow',
           fullPage: true,
         });
         await isAccessible(page);
+        // As it looks to those without green cones: to be looked at.
+        const sight = await page.context().newCDPSession(page);
+        await sight.send('Emulation.setEmulatedVisionDeficiency',
+                         {type: 'deuteranopia'});
+        await page.screenshot({
+          path: join(OUT, `${view[0]}-${width}-${colorScheme}-deuteranopia.png`),
+          fullPage: true,
+        });
         await page.context().close();
       }
     }
@@ -93,6 +110,130 @@ test('every view has a link that leads to it, and a way back', async () => {
   await page.goBack();
   await page.getByRole('heading', {name: 'Fleet'}).waitFor();
   await page.context().close();
+});
+
+test('tabs are named after what they show', async () => {
+  for (const [i, title] of [[0, 'Fleet · revisit'],
+                            [1, 'Glen Shields · revisit'],
+                            [2, /^[\d,]+–[\d,]+ · Glen Shields · revisit$/],
+                            [3, 'Server · revisit']]) {
+    const page = await opened(views[i]);
+    await until(async () => {
+      const got = await page.title();
+      return typeof title === 'string' ? got === title : title.test(got);
+    }, `title ${title}`);
+    await page.context().close();
+  }
+});
+
+test('a vehicle with a name is shown with its id, and with its settings',
+     async () => {
+  const page = await opened(views[0]);
+  await page.getByRole('row', {name: /Glen Shields\s+boreas/}).waitFor();
+  await page.getByRole('link', {name: 'Glen Shields'}).click();
+  await page.locator('h1 + code', {hasText: 'boreas'}).waitFor();
+  await page.locator('.settings summary').click();
+  assert.equal(await fact(page, 'Node spacing'), '2 m');
+  assert.equal(await fact(page, 'Correlation model'), 'dead reckoning');
+  assert.equal(await fact(page, 'Gate probability'), '0.95');
+  assert.match(await fact(page, 'Place tolerance'),
+               /^position 2 m, heading 0\.1 rad$/);
+  await page.context().close();
+});
+
+test('a table is sorted by a column, either way, and then as it was',
+     async () => {
+  const page = await opened(views[4]);
+  await page.getByText(/^(\d+) of \1 checks answered$/).waitFor();
+  const table = page.getByRole('table', {name: 'Candidates'});
+  const head = table.getByRole('button', {name: 'Match'});
+  const column = async () => (await table.locator('tbody td:nth-child(2)')
+      .allInnerTexts()).map(text => Number(text.replaceAll(',', '')));
+  const rising = values => values.every((v, i) => i === 0 || values[i - 1] <= v);
+  const asItCame = await column();
+  await head.click();
+  assert.equal(await table.locator('th[aria-sort]').getAttribute('aria-sort'),
+               'ascending');
+  const up = await column();
+  assert.ok(rising(up) && up[0] < asItCame[0] + 1, `${up}`);
+  await head.click();
+  const down = await column();
+  assert.ok(rising([...down].reverse()) && down[0] >= Math.max(...asItCame));
+  await head.click();
+  assert.deepEqual(await column(), asItCame);
+  assert.equal(await table.locator('th[aria-sort]').count(), 0);
+  await page.context().close();
+});
+
+test('a row that is pointed at stands out on the map, a link in the table',
+     async () => {
+  const page = await opened(['', '/vehicles/boreas?show=accepted',
+                             '.side tbody a']);
+  await page.getByText(/^(\d+) of \1 checks answered$/).waitFor();
+  assert.equal(await pixels(page, '--selected'), 0);
+  const rows = page.getByRole('table', {name: 'Decisions'}).locator('tbody tr');
+  await rows.first().hover();
+  const spot = await until(async () => {
+    const found = await pixelsOf(page, '--selected');
+    return found.count > 3 && found;
+  }, 'the pair on the map');
+  await page.mouse.move(5, 5);
+  await until(async () => await pixels(page, '--selected') === 0, 'nothing');
+  const box = await page.locator('.map .canvas').boundingBox();
+  await page.mouse.move(box.x + spot.x, box.y + spot.y);
+  await page.locator('.map .tip', {hasText: /–.*: /}).waitFor();
+  await page.locator('tr.pointed').first().waitFor();
+  await page.context().close();
+});
+
+test('a pair has the times of its poses, and links that name it elsewhere',
+     async () => {
+  const page = await opened(views[2]);
+  const times = await page.locator('.poses tbody td:nth-child(3)')
+                          .allInnerTexts();
+  assert.equal(times.length, 2);
+  const [query] = times.map(text => text.replace(' ', 'T')
+      .replace(' UTC', 'Z'));
+  assert.equal(new Date(query).toISOString(), query);
+  const href = name => page.getByRole('link', {name}).getAttribute('href');
+  assert.equal(await href(/^camera/), 'https://pictures.example/boreas/' +
+               encodeURIComponent(query));
+  const pair = await page.locator('h1').innerText();
+  const [, a] = /^Pose ([\d,]+)/.exec(pair);
+  assert.match(await href(/^viewer/), new RegExp(
+      `\\?a=${a.replaceAll(',', '')}&b=\\d+\\.\\d{3}$`));
+  const link = page.getByRole('link', {name: /^camera/});
+  assert.equal(await link.getAttribute('rel'), 'noopener noreferrer');
+  await page.context().close();
+});
+
+test('the first candidate that is open is a key away, and has the focus',
+     async () => {
+  const page = await opened(views[1]);
+  await page.locator('a.button', {hasText: 'Review'}).waitFor();
+  await page.keyboard.press('j');
+  await page.getByText('Nobody has decided about this pair').waitFor();
+  assert.ok(await page.evaluate(
+      () => document.activeElement.matches('.decision')));
+  await page.keyboard.press('Tab');
+  assert.ok(await page.evaluate(
+      () => document.activeElement.matches('input[name=note]')));
+  await page.context().close();
+});
+
+test('maps without a base map have lines of latitude and longitude',
+     async () => {
+  for (const view of ['/?search=van', '/vehicles/van-1']) {
+    const page = await opened(['', view, '.map .degrees']);
+    const labels = await page.locator('.map .degrees').allInnerTexts();
+    assert.ok(labels.some(text => /^52\.51\d+° N$/.test(text)) ||
+              labels.some(text => /^52\.52\d*° N$/.test(text)), `${labels}`);
+    assert.ok(labels.some(text => /^13\.\d+° E$/.test(text)), `${labels}`);
+    await until(async () => await pixels(page, '--grid') > 200, 'lines');
+    await page.locator('.map .place',
+                       {hasText: /52\.5\d+° N, 13\.[34]\d+° E/}).waitFor();
+    await page.context().close();
+  }
 });
 
 test('search, state and labels narrow the fleet, and the link keeps that',

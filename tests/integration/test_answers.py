@@ -157,6 +157,66 @@ def test_listing_goes_on_over_a_restart(tmp_path):
         assert [p.sequence for p in rest.poses] == list(range(11, 31))
 
 
+# ---- Exports that go on from an earlier one
+
+
+def exported(stub, vehicle, before=None, count=0):
+    """Identity and first index of the nodes, their indices, and the edges."""
+    parts = list(stub.ExportPoseGraph(api.ExportPoseGraphRequest(
+        vehicle=vehicle, nodes_id=before or "", first_node_index=count)))
+    return (parts[0].nodes_id, parts[0].first_node_index,
+            [node.index for part in parts for node in part.nodes],
+            [(edge.from_index, edge.to_index, edge.kind)
+             for part in parts for edge in part.edges])
+
+
+def test_export_goes_on_where_the_last_one_ended(stub, new_vehicle):
+    vehicle = new_vehicle()
+    poses = straight(300)
+    append(stub, vehicle, poses[:200])
+    nodes_id, first, nodes, edges = exported(stub, vehicle)
+    count = len(nodes)
+    assert (first, nodes) == (0, list(range(count)))
+    assert exported(stub, vehicle, nodes_id, count) == (nodes_id, count, [], [])
+    append(stub, vehicle, poses[200:])
+    stub.AddLoopClosure(api.AddLoopClosureRequest(
+        parent=vehicle, loop_closure=api.LoopClosure(
+            query_sequence=150, matched_sequence=10)))
+    _, _, all_nodes, all_edges = exported(stub, vehicle)
+    new_id, first, added, more = exported(stub, vehicle, nodes_id, count)
+    assert (new_id, first) == (nodes_id, count)
+    assert nodes + added == all_nodes
+    assert len(added) > 10
+    assert sorted(edges + more) == sorted(all_edges)
+    # Of a graph that has fewer nodes than are known, all come.
+    assert exported(stub, vehicle, nodes_id, len(all_nodes) + 1)[1] == 0
+    assert exported(stub, vehicle, nodes_id, -1)[1] == 0
+
+
+def test_export_begins_anew_after_a_revision(stub, new_vehicle):
+    vehicle = new_vehicle()
+    append(stub, vehicle, straight(200))
+    nodes_id, _, nodes, _ = exported(stub, vehicle)
+    stub.RevisePoses(iter([api.RevisePosesRequest(
+        vehicle=vehicle, poses=[pose(100, x=100.0, y=0.5)])]))
+    other, first, again, _ = exported(stub, vehicle, nodes_id, len(nodes))
+    assert other != nodes_id
+    assert (first, len(again)) == (0, len(nodes))
+
+
+def test_export_begins_anew_with_another_vehicle_of_the_name(
+        stub, new_vehicle):
+    vehicle = new_vehicle()
+    append(stub, vehicle, straight(200))
+    nodes_id, _, nodes, _ = exported(stub, vehicle)
+    stub.DeleteVehicle(api.DeleteVehicleRequest(name=vehicle))
+    create(stub, vehicle.split("/")[1])
+    append(stub, vehicle, straight(200))
+    other, first, again, _ = exported(stub, vehicle, nodes_id, len(nodes))
+    assert other != nodes_id
+    assert (first, again) == (0, nodes)
+
+
 # ---- Exports that nobody reads
 
 

@@ -31,7 +31,7 @@ function isOwn(request: IncomingMessage, hosts: Set<string>): boolean {
 /** The page asks for these to know which of its parts there are. */
 function settingsOf(options: Options): object {
   return {metrics: options.metrics.length > 0,
-          baseMap: options.baseMap !== undefined};
+          baseMap: options.baseMap !== undefined, links: options.links};
 }
 
 function serve(options: Options): void {

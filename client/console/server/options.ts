@@ -1,11 +1,13 @@
 import {parseArgs} from 'node:util';
 
+import {type LinkTemplate, problemOf} from '../shared/links.js';
 import type {MetricsPage} from './scrape.js';
 
 export const USAGE = `\
 usage: main.js [--listen ADDRESS:PORT] [--server ADDRESS:PORT]...
                [--tls-ca FILE] [--metrics [NAME=]URL]... [--base-map FILE]
-               [--host NAME]... [--insecure-allow-remote]
+               [--link NAME=TEMPLATE]... [--host NAME]...
+               [--insecure-allow-remote]
 
 Serves the console of revisit and passes its calls on to a revisitd.
 
@@ -22,6 +24,9 @@ Serves the console of revisit and passes its calls on to a revisitd.
                           host and port
   --base-map FILE         a PMTiles archive, drawn below paths whose place on
                           the earth is known (REVISIT_BASE_MAP)
+  --link NAME=TEMPLATE    a link from each pair of poses to another program, such
+                          as 'camera=https://host/{vehicle}/{time_a}/{time_b}';
+                          given again, further ones
   --host NAME             a name, with its port unless that is the usual one, by
                           which browsers reach the console through a proxy;
                           localhost and the address listened at always count
@@ -47,6 +52,8 @@ export interface Options {
   metrics: MetricsPage[];
   /** Path of a PMTiles archive. */
   baseMap: string | undefined;
+  /** Leads from a pair of poses to other programs. */
+  links: LinkTemplate[];
   /** Further values of the Host header that are answered. */
   hosts: string[];
 }
@@ -99,6 +106,16 @@ function splitAllMetrics(values: string[]): MetricsPage[] {
   return pages;
 }
 
+function splitLink(value: string): LinkTemplate {
+  const found = /^([^=]{1,63})=(.*)$/s.exec(value);
+  const problem = found ? problemOf(found[2]) : 'it is not NAME=TEMPLATE';
+  if (problem) {
+    throw new UsageError(`--link is '${value}': ${problem}, such as ` +
+        '\'camera=https://host/{vehicle}/{time_a}/{time_b}\'');
+  }
+  return {name: found![1], template: found![2]};
+}
+
 function isLoopback(host: string): boolean {
   return host === 'localhost' || host === '::1' || /^127\./.test(host);
 }
@@ -116,6 +133,7 @@ export function readOptions(args: string[], environment: NodeJS.ProcessEnv):
          'tls-ca': {type: 'string'},
          'metrics': {type: 'string', multiple: true},
          'base-map': {type: 'string'},
+         'link': {type: 'string', multiple: true, default: []},
          'host': {type: 'string', multiple: true, default: []},
          'insecure-allow-remote': {type: 'boolean', default: false},
          'help': {type: 'boolean', short: 'h', default: false},
@@ -144,6 +162,7 @@ export function readOptions(args: string[], environment: NodeJS.ProcessEnv):
     tlsCa: values['tls-ca'] ?? (environment.REVISIT_TLS_CA || undefined),
     metrics: splitAllMetrics(metrics),
     baseMap: values['base-map'] ?? (environment.REVISIT_BASE_MAP || undefined),
+    links: values.link!.map(splitLink),
     hosts: values.host!,
   };
 }

@@ -247,7 +247,7 @@ TEST(AnswerTest, ExportedNodeHasItsCovarianceInTheFormOfTheVehicle) {
 TEST(AnswerTest, VehicleIsToldTheSameFromMemoryAndFromTheStore) {
   VehicleConfig config;
   config.create_time_ns = -1;
-  config.uid = NewVehicleUid();
+  config.uid = NewUuid();
   const std::string id = "a";
   const core::Drive drive(config.drive);
   v1::Vehicle loaded;

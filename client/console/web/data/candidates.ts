@@ -5,7 +5,8 @@ import {signal} from '@preact/signals';
 
 import {type Candidate, type CandidateSet, Verdict} from
     '../../gen/revisit/v1/candidate_pb.js';
-import {messageOf, service} from './client.js';
+import type {Pair} from './decisions.js';
+import {idle, messageOf, service} from './client.js';
 
 /** All that is known of the candidates at one pose. */
 export interface Answer {
@@ -14,8 +15,11 @@ export interface Answer {
   set: CandidateSet|undefined;
   /** Why there is no newer answer. */
   error: string|undefined;
-  /** Something has changed since, and it will be asked again. */
+  /** Something has changed since, so that the answer may be another one now. */
   outdated: boolean;
+  /** It is asked again without anybody's doing: a search failed that need not
+   * fail again. */
+  again: boolean;
 }
 
 /** A candidate with the pose that was asked about. */
@@ -35,6 +39,11 @@ export function keyOf({asked, candidate}: Found): string {
   return `${asked}-${candidate.matched!.sequence}`;
 }
 
+export function pairOf({candidate}: Found): Pair {
+  return {query: Number(candidate.query!.sequence),
+          matched: Number(candidate.matched!.sequence)};
+}
+
 export function verdictName(verdict: Verdict): string {
   return Verdict[verdict].toLowerCase().replaceAll('_', ' ');
 }
@@ -43,24 +52,34 @@ export class CandidateSource {
   /** By the pose that was asked about. */
   readonly answers = signal<ReadonlyMap<number, Answer>>(new Map());
   private wanted: number[] = [];
+  /** Those of `wanted` whose answer has to be of now. */
+  private fresh = new Set<number>();
   private readonly asking = new Map<number, number>();
   private generation = 0;
   private closed = false;
   private publishing = false;
   private readonly known = new Map<number, Answer>();
 
-  constructor(private readonly vehicle: string) {}
+  private readonly stopWaiting: () => void;
+
+  constructor(private readonly vehicle: string) {
+    // What was wanted while nobody looked is asked once somebody is back.
+    this.stopWaiting = idle.subscribe(() => this.proceed());
+  }
 
   /** Asks about these poses, the most urgent first, and about no others any
-   * more. Poses whose answer is known are not asked about again. */
-  want(poses: readonly number[]): void {
+   * more. Poses whose answer is known are not asked about again, but for
+   * `current` once its answer is outdated. */
+  want(poses: readonly number[], current?: number): void {
     this.wanted = [...poses];
+    this.fresh = new Set(current === undefined ? [] : [current]);
     this.proceed();
   }
 
-  /** Asks anew about all that is wanted: after a loop closure, a rejection,
-   * new settings or revised poses the answers may be others. */
-  askAnew(): void {
+  /** After a loop closure, a rejection, new settings or revised poses the
+   * answers may be others. They are asked for again where somebody wants to
+   * know: hundreds of searches a decision would be too many. */
+  outdate(): void {
     ++this.generation;
     for (const [pose, answer] of this.known) {
       this.known.set(pose, {...answer, outdated: true});
@@ -69,17 +88,26 @@ export class CandidateSource {
     this.proceed();
   }
 
+  /** Asks again about all that is wanted and outdated. */
+  askAnew(): void {
+    this.fresh = new Set(this.wanted);
+    this.proceed();
+  }
+
   close(): void {
     this.closed = true;
+    this.stopWaiting();
     this.wanted = [];
   }
 
   private proceed(): void {
+    if (idle.value) return;
     for (const pose of this.wanted) {
       if (this.asking.size >= AT_A_TIME) return;
       const answer = this.known.get(pose);
-      if (this.asking.has(pose) || (answer && !answer.outdated)) continue;
-      void this.ask(pose);
+      const isDue = !answer || answer.again ||
+          (answer.outdated && this.fresh.has(pose));
+      if (isDue && !this.asking.has(pose)) void this.ask(pose);
     }
   }
 
@@ -87,7 +115,7 @@ export class CandidateSource {
     const {generation} = this;
     this.asking.set(asked, generation);
     let answer: Answer = {asked, set: undefined, error: undefined,
-                          outdated: false};
+                          outdated: false, again: false};
     try {
       const {candidates} = await service.findCandidates({
         vehicle: this.vehicle,
@@ -98,7 +126,7 @@ export class CandidateSource {
     } catch (error) {
       const passing = PASSING.has(ConnectError.from(error).code);
       answer = {...answer, set: this.known.get(asked)?.set,
-                error: messageOf(error), outdated: passing};
+                error: messageOf(error), outdated: passing, again: passing};
       if (passing) {
         await new Promise(done => setTimeout(done, WAIT_MILLISECONDS));
       }

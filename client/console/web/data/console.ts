@@ -1,11 +1,15 @@
 // The page asks the console itself which of the optional parts it has.
 import {signal} from '@preact/signals';
 
+import type {LinkTemplate} from '../../shared/links.js';
+
 export interface ConsoleSettings {
   /** Whether it knows where revisitd tells its metrics. */
   metrics: boolean;
   /** Whether it has a base map. */
   baseMap: boolean;
+  /** Links from a pair of poses to other programs. */
+  links: LinkTemplate[];
 }
 
 /** Undefined until the console has answered. */

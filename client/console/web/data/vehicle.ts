@@ -2,40 +2,19 @@
 import {equals} from '@bufbuild/protobuf';
 import {batch, computed, signal} from '@preact/signals';
 
-import type {Candidate} from '../../gen/revisit/v1/candidate_pb.js';
-import type {LoopClosure, RejectedCandidate} from
-    '../../gen/revisit/v1/loop_closure_pb.js';
 import {type Vehicle, VehicleSettingsSchema} from
     '../../gen/revisit/v1/vehicle_pb.js';
 import {CandidateSource} from './candidates.js';
-import {allPages, credentials, messageOf, repeat, service, token} from
-    './client.js';
+import {credentials, messageOf, repeat, service, token} from './client.js';
+import {type Decision, DecisionBook, keyOfPair, type Pair} from
+    './decisions.js';
 import {checkNodes, type Graph, GraphLoader, nodeAt, poseToAsk} from
     './graph.js';
 
 const POLL_MILLISECONDS = 1000;
-const PAGE_SIZE = 1000;
 
-/** A loop closure or a rejected candidate. */
-export interface Decision {
-  kind: 'confirmed'|'rejected';
-  /** The resource name. */
-  name: string;
-  querySequence: number;
-  matchedSequence: number;
-  note: string;
-}
-
-function asDecision(kind: Decision['kind'],
-                    made: LoopClosure|RejectedCandidate): Decision {
-  return {
-    kind,
-    name: made.name,
-    querySequence: Number(made.querySequence),
-    matchedSequence: Number(made.matchedSequence),
-    note: made.note,
-  };
-}
+/** Searches at most so many poses, until somebody asks for more. */
+export const SEARCHES_AT_ONCE = 100;
 
 /** Whether nodes that were there before are elsewhere now. */
 function wasRevised(before: Graph, after: Graph): boolean {
@@ -50,18 +29,12 @@ export class VehicleStore {
   readonly name: string;
   readonly vehicle = signal<Vehicle|undefined>(undefined);
   readonly graph = signal<Graph|undefined>(undefined);
-  readonly closures = signal<LoopClosure[]>([]);
-  readonly rejections = signal<RejectedCandidate[]>([]);
   /** Nodes that have come of an export that is under way; else undefined. */
   readonly loading = signal<number|undefined>(undefined);
   readonly error = signal<string|undefined>(undefined);
-  /** Made here, and can be undone; the last one at the end. */
-  readonly decisions = signal<Decision[]>([]);
-  /** Whoever made them: the loop closures, then the rejections. */
-  readonly allDecisions = computed(
-      () => [...this.closures.value.map(made => asDecision('confirmed', made)),
-             ...this.rejections.value.map(
-                 made => asDecision('rejected', made))]);
+  readonly decisions: DecisionBook;
+  /** At how many checks the views may search. */
+  readonly searches = signal(SEARCHES_AT_ONCE);
   readonly candidates: CandidateSource;
   /** Poses at which checks fell due, by the graph that is here. */
   readonly checks = computed(() => {
@@ -80,6 +53,10 @@ export class VehicleStore {
   constructor(readonly id: string) {
     this.name = `vehicles/${id}`;
     this.candidates = new CandidateSource(this.name);
+    this.decisions = new DecisionBook(this.name, () => {
+      this.candidates.outdate();
+      this.refresh().catch(() => undefined);
+    });
     this.ends.push(
         repeat(POLL_MILLISECONDS, () => this.refresh()),
         repeat(POLL_MILLISECONDS, () => this.refreshGraph()));
@@ -96,14 +73,16 @@ export class VehicleStore {
     try {
       const {vehicle} = await service.getVehicle({name: this.name});
       const listed = `${vehicle!.uid} ${vehicle!.revision}`;
+      this.decisions.drafts.open(vehicle!.uid);
       if (listed !== this.listed) {
-        await this.refreshDecisions();
-        this.listed = listed;
+        const changed = await this.decisions.read();
+        if (changed && this.listed !== '') this.candidates.outdate();
+        if (changed !== undefined) this.listed = listed;
       }
       const settings = this.vehicle.value?.settings;
       if (settings && !equals(VehicleSettingsSchema, settings,
                               vehicle!.settings!)) {
-        this.candidates.askAnew();
+        this.candidates.outdate();
       }
       batch(() => {
         this.vehicle.value = vehicle;
@@ -115,28 +94,6 @@ export class VehicleStore {
     }
   }
 
-  private async refreshDecisions(): Promise<void> {
-    const parent = this.name;
-    const [closures, rejections] = await Promise.all([
-      allPages(pageToken => service.listLoopClosures(
-                   {parent, pageToken, pageSize: PAGE_SIZE}),
-               page => page.loopClosures),
-      allPages(pageToken => service.listRejectedCandidates(
-                   {parent, pageToken, pageSize: PAGE_SIZE}),
-               page => page.rejectedCandidates),
-    ]);
-    const names = (items: Array<{name: string}>) =>
-        items.map(item => item.name).join();
-    const changed = this.listed !== '' &&
-        (names(closures) !== names(this.closures.value) ||
-         names(rejections) !== names(this.rejections.value));
-    batch(() => {
-      this.closures.value = closures;
-      this.rejections.value = rejections;
-    });
-    if (changed) this.candidates.askAnew();
-  }
-
   private async refreshGraph(): Promise<void> {
     const {value: vehicle} = this.vehicle;
     if (!vehicle || Number(vehicle.revision) === this.graph.value?.revision) {
@@ -145,65 +102,46 @@ export class VehicleStore {
     try {
       const before = this.graph.value;
       const graph = await this.loader.load(
-          {vehicle: this.name, origin: location.origin,
-           headers: credentials()},
+          this.name, credentials(), before,
           nodes => this.loading.value = nodes);
       this.graph.value = graph;
-      if (before && wasRevised(before, graph)) this.candidates.askAnew();
+      if (before && before.nodesId !== graph.nodesId &&
+          wasRevised(before, graph)) {
+        this.candidates.outdate();
+      }
     } finally {
       this.loading.value = undefined;
     }
   }
 
-  async confirm(candidate: Candidate, note: string): Promise<void> {
-    const {loopClosure} = await service.addLoopClosure({
-      parent: this.name,
-      loopClosure: {
-        querySequence: candidate.query!.sequence,
-        matchedSequence: candidate.matched!.sequence,
-        note,
-      },
-    });
-    await this.decided(asDecision('confirmed', loopClosure!));
+  /** The pair at an address that no check has: one that was decided about by
+   * the numbers of its poses. */
+  decidedAt(asked: number, matched: number): Decision|undefined {
+    const isCheck = this.checks.value.some(({pose}) => pose === asked);
+    return isCheck ? undefined : this.decisions.all.value.find(
+        made => keyOfPair(made) === keyOfPair({query: asked, matched}));
   }
 
-  async reject(candidate: Candidate, note: string): Promise<void> {
-    const {rejectedCandidate} = await service.rejectCandidate({
-      parent: this.name,
-      rejectedCandidate: {
-        querySequence: candidate.query!.sequence,
-        matchedSequence: candidate.matched!.sequence,
-        note,
-      },
-    });
-    await this.decided(asDecision('rejected', rejectedCandidate!));
+  /** The pair that is found by asking at a pose: a search is made at the last
+   * node at or before it. */
+  pairAt(asked: number, matched: number): Pair {
+    const graph = this.graph.value;
+    const node = graph ? nodeAt(graph, asked) : -1;
+    return {query: node < 0 ? asked : graph!.sequence[node], matched};
   }
 
-  private async decided(decision: Decision): Promise<void> {
-    this.decisions.value = [
-      ...this.decisions.value.filter(({name}) => name !== decision.name),
-      decision,
-    ];
-    await this.refresh();
+  /** The address of a pair: that of the check that found it, if one did. */
+  addressOf({query, matched}: Pair): string {
+    const graph = this.graph.value;
+    const check = graph && this.checks.value.find(
+        ({node}) => graph.sequence[node] === query);
+    return `/vehicles/${this.id}/candidates/${check?.pose ?? query}-${matched}`;
   }
 
-  /** Deletes a loop closure or a rejection. */
-  async withdraw(name: string): Promise<void> {
-    if (name.includes('/loopClosures/')) {
-      await service.deleteLoopClosure({name});
-    } else {
-      await service.deleteRejectedCandidate({name});
-    }
-    this.decisions.value =
-        this.decisions.value.filter(decision => decision.name !== name);
-    await this.refresh();
-  }
-
-  /** The loop closure or rejection that is about the same two places, if there
-   * is one with both poses at most `upTo`: the server takes rejections to be,
-   * within 10 m along the path. */
-  decisionAbout(query: number, matched: number, upTo = Infinity):
-      Decision|undefined {
+  /** The decision about a pair or, if there is none, about the same two places,
+   * with both poses at most `upTo`: the server takes rejections to be about all
+   * that is within 10 m along the path. */
+  decisionAbout(pair: Pair, upTo = Infinity): Decision|undefined {
     const graph = this.graph.value;
     const separation = Math.max(
         10, this.vehicle.value?.settings?.candidateSeparationMeters ?? 0);
@@ -214,9 +152,10 @@ export class VehicleStore {
       return i >= 0 && j >= 0 &&
           Math.abs(graph.travelled[i] - graph.travelled[j]) <= separation;
     };
-    return this.allDecisions.value.find(
-        ({querySequence, matchedSequence}) => querySequence <= upTo &&
-            near(query, querySequence) && near(matched, matchedSequence));
+    const made = this.decisions.all.value.filter(({query}) => query <= upTo);
+    return made.find(other => keyOfPair(other) === keyOfPair(pair)) ??
+        made.find(({query, matched}) => near(pair.query, query) &&
+                      near(pair.matched, matched));
   }
 }
 

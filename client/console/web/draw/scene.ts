@@ -9,6 +9,23 @@ export type Colour =
     'uninformative'|'ill-conditioned'|'matched-path'|'query-path'|'text'|
     'background'|'grid'|'threshold'|'scale';
 
+/** What the segments or dots of a shape stand for, by their number. */
+export interface Things {
+  /** Where a click leads. */
+  link: (i: number) => string;
+  /** What is told of it where somebody points at it. */
+  tip: (i: number) => string;
+  /** The key of its row in the table beside the map. */
+  key: (i: number) => string;
+}
+
+/** One of the things of a shape. */
+export interface Hit {
+  link: string;
+  tip: string;
+  key: string;
+}
+
 export interface Strokes {
   kind: 'strokes';
   id: string;
@@ -18,8 +35,9 @@ export interface Strokes {
   /** Segments x0, y0, x1, y1 in metres. The same array as long as they are the
    * same. */
   segmentsIn(view: View): Float32Array;
-  /** Where a click on segment i leads. */
-  link?: (segment: number) => string;
+  /** Pixels that are drawn and left out in turn; undefined for all. */
+  dash?: [number, number];
+  things?: Things;
 }
 
 export interface Dots {
@@ -30,7 +48,7 @@ export interface Dots {
   radiusPixels: number;
   /** x0, y0, x1, y1 in metres. */
   positions: Float32Array;
-  link?: (dot: number) => string;
+  things?: Things;
 }
 
 export type Shape = Strokes|Dots;
@@ -53,16 +71,87 @@ export function dots(shape: Omit<Dots, 'kind'|'positions'>,
   return {...shape, kind: 'dots', positions: Float32Array.from(positions)};
 }
 
+/** Corners x0, y0, x1, y1, ... of marks, in a square from -1 to 1; each stroke
+ * leads from one corner to the next. */
+const MARKS = {
+  triangle: [0, 1, 0.95, -0.7, -0.95, -0.7, 0, 1],
+  square: [-0.8, -0.8, 0.8, -0.8, 0.8, 0.8, -0.8, 0.8, -0.8, -0.8],
+  diamond: [0, 1, 1, 0, 0, -1, -1, 0, 0, 1],
+  circle: Array.from({length: 13}, (_, i) => [
+    Math.cos(i * Math.PI / 6), Math.sin(i * Math.PI / 6)]).flat(),
+  cross: [-0.8, -0.8, 0.8, 0.8, 0, 0, -0.8, 0.8, 0.8, -0.8],
+  bar: [0, -1, 0, 1],
+};
+export type Mark = keyof typeof MARKS;
+const MARK_PIXELS = 5;
+
+/** Marks of one size on the screen at points x0, y0, x1, y1, ... in metres. */
+export function marks(shape: Omit<Strokes, 'kind'|'segmentsIn'>, mark: Mark,
+                      points: ArrayLike<number>): Strokes {
+  const corners = MARKS[mark];
+  const all = new Float32Array(points.length / 2 * (2 * corners.length - 4));
+  let [drawn, segments] = [NaN, all];
+  const draw = (size: number) => {
+    segments = new Float32Array(all.length);
+    let at = 0;
+    for (let i = 0; i < points.length; i += 2) {
+      for (let k = 0; k + 2 < corners.length; k += 2) {
+        for (let end = 0; end < 4; ++end) {
+          segments[at++] = points[i + end % 2] + size * corners[k + end];
+        }
+      }
+    }
+  };
+  return {
+    ...shape,
+    kind: 'strokes',
+    segmentsIn: ({metersPerPixel}) => {
+      if (metersPerPixel !== drawn) draw(MARK_PIXELS * metersPerPixel);
+      drawn = metersPerPixel;
+      return segments;
+    },
+  };
+}
+
+const SELECTED_PIXELS = 3;
+
+/** The things with a key, drawn once more so that they stand out. */
+export function selectedIn({shapes}: Scene, view: View, key: string|undefined):
+    Shape[] {
+  if (key === undefined) return [];
+  return shapes.flatMap((shape): Shape[] => {
+    const {things} = shape;
+    if (!things) return [];
+    const numbers = shape.kind === 'dots' ? shape.positions :
+                                            shape.segmentsIn(view);
+    const size = shape.kind === 'dots' ? 2 : 4;
+    const chosen: number[] = [];
+    for (let i = 0; i < numbers.length; i += size) {
+      if (things.key(i / size) !== key) continue;
+      chosen.push(...numbers.subarray(i, i + size));
+    }
+    if (chosen.length === 0) return [];
+    const drawn = {id: `selected ${shape.id}`, label: 'Selected',
+                   colour: 'selected' as const};
+    return [shape.kind === 'dots' ?
+      dots({...drawn, radiusPixels: shape.radiusPixels + SELECTED_PIXELS},
+           chosen) :
+      strokes({...drawn, widthPixels: shape.widthPixels + SELECTED_PIXELS},
+              chosen)];
+  });
+}
+
 const REACH_PIXELS = 6;
 
-/** Where a click at these pixels of a map leads: the link of the nearest thing
- * within reach, of those that are drawn last first. */
-export function linkAt(scene: Scene, view: View, px: number, py: number):
-    string|undefined {
+/** What lies at these pixels of a map: the nearest thing within reach, of those
+ * that are drawn last first. */
+export function hitAt(scene: Scene, view: View, px: number, py: number):
+    Hit|undefined {
   const x = view.x + (px - view.width / 2) * view.metersPerPixel;
   const y = view.y - (py - view.height / 2) * view.metersPerPixel;
   for (const shape of [...scene.shapes].reverse()) {
-    if (!shape.link) continue;
+    const {things} = shape;
+    if (!things) continue;
     const numbers = shape.kind === 'dots' ? shape.positions :
                                             shape.segmentsIn(view);
     const size = shape.kind === 'dots' ? 2 : 4;
@@ -80,7 +169,10 @@ export function linkAt(scene: Scene, view: View, px: number, py: number):
         nearest = i / size;
       }
     }
-    if (nearest >= 0) return shape.link(nearest);
+    if (nearest >= 0) {
+      return {link: things.link(nearest), tip: things.tip(nearest),
+              key: things.key(nearest)};
+    }
   }
   return undefined;
 }

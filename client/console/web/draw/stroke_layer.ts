@@ -9,6 +9,8 @@ export interface StrokeLayerProps extends LayerProps {
   /** Red, green and blue in [0, 1]. */
   colour: [number, number, number];
   widthPixels: number;
+  /** Pixels that are drawn and left out in turn; all are drawn for [1, 0]. */
+  dashPixels: [number, number];
   view: View;
 }
 
@@ -18,6 +20,7 @@ layout(std140) uniform strokeUniforms {
   vec2 sizePixels;
   vec3 colour;
   float pixelsPerMeter;
+  vec2 dashPixels;
   float widthPixels;
 } stroke;
 `;
@@ -31,6 +34,7 @@ const strokeUniforms = {
     sizePixels: 'vec2<f32>',
     colour: 'vec3<f32>',
     pixelsPerMeter: 'f32',
+    dashPixels: 'vec2<f32>',
     widthPixels: 'f32',
   },
 } as const;
@@ -40,10 +44,12 @@ const vs = `#version 300 es
 in vec4 segment;
 in vec2 corner;
 out float fromMiddle;
+out float fromBegin;
 void main(void) {
   vec2 from = (segment.xy - stroke.centreMeters) * stroke.pixelsPerMeter;
   vec2 to = (segment.zw - stroke.centreMeters) * stroke.pixelsPerMeter;
   vec2 along = (to - from) / max(length(to - from), 1e-6);
+  fromBegin = corner.x * length(to - from);
   fromMiddle = corner.y * (stroke.widthPixels / 2. + 0.5);
   vec2 place = mix(from, to, corner.x) +
       vec2(-along.y, along.x) * fromMiddle;
@@ -54,8 +60,12 @@ void main(void) {
 const fs = `#version 300 es
 precision highp float;
 in float fromMiddle;
+in float fromBegin;
 out vec4 fragColor;
 void main(void) {
+  if (stroke.dashPixels.y > 0. &&
+      mod(fromBegin, stroke.dashPixels.x + stroke.dashPixels.y) >
+          stroke.dashPixels.x) discard;
   float covered = stroke.widthPixels / 2. + 0.5 - abs(fromMiddle);
   fragColor = vec4(stroke.colour, clamp(covered, 0., 1.));
 }
@@ -121,12 +131,13 @@ export class StrokeLayer extends Layer<StrokeLayerProps> {
   override draw(): void {
     const {model} = this.state;
     if (!model) return;
-    const {colour, widthPixels, view} = this.props;
+    const {colour, widthPixels, dashPixels, view} = this.props;
     model.shaderInputs.setProps({stroke: {
       centreMeters: [view.x, view.y],
       sizePixels: [view.width, view.height],
       colour,
       pixelsPerMeter: 1 / view.metersPerPixel,
+      dashPixels,
       widthPixels,
     }});
     model.draw(this.context.renderPass);

@@ -3,12 +3,15 @@ import type {View} from '../geometry/view.js';
 import type {Fact} from '../parts/facts.js';
 import {length} from '../parts/format.js';
 import {type Curve, isSingle, type Series} from './curve.js';
+import type {LineLabel} from './graticule.js';
 import {colourOf, scaleBarMeters, type Scene, type Shape} from './scene.js';
 
 /** A map as it is at the moment. */
 export interface MapSheet {
   scene: Scene;
   view: View;
+  /** Numbers of degrees at the lines of latitude and longitude. */
+  labels?: LineLabel[];
   /** Draws the base map below it, if there is one. */
   ground?: () => Promise<GroundSheet|undefined>;
 }
@@ -74,7 +77,9 @@ function shapeToSvg(shape: Shape, view: View): string {
     path += `L${end}`;
   }
   return `<path d="${path}" fill="none" stroke="${colour}" stroke-width="${
-      shape.widthPixels}" stroke-linejoin="round"><title>${
+      shape.widthPixels}"${
+      shape.dash ? ` stroke-dasharray="${shape.dash.join(' ')}"` : ''
+      } stroke-linejoin="round"><title>${
       escaped(shape.label)}</title></path>`;
 }
 
@@ -85,19 +90,22 @@ function groundToSvg({picture, attribution}: GroundSheet,
            'text-anchor="end" font-size="10"');
 }
 
-function mapToSvg({scene, view}: MapSheet, ground: GroundSheet|undefined):
+function mapToSvg({scene, view, labels = []}: MapSheet, ground: GroundSheet|undefined):
     string {
   const bar = scaleBarMeters(view.metersPerPixel, 120);
   const barPixels = bar / view.metersPerPixel;
   const y = view.height - 12;
-  const legend = scene.shapes.map(
-      ({label, colour}, i) =>
-          `<rect x="12" y="${12 + i * LINE}" width="12" height="4" fill="${
-              colourOf(colour)}"/>` +
-          text(30, 18 + i * LINE, label));
+  const legend = scene.shapes.filter(({label}) => label !== '').map(
+      (shape, i) => `<path d="M12 ${14 + i * LINE}h22" stroke-width="4" ` +
+          `stroke="${colourOf(shape.colour)}"${
+              shape.kind === 'strokes' && shape.dash ?
+                  ` stroke-dasharray="${shape.dash.join(' ')}"` : ''}/>` +
+          text(40, 18 + i * LINE, shape.label));
   return `<svg width="${view.width}" height="${view.height}">` +
       (ground ? groundToSvg(ground, view) : '') +
       scene.shapes.map(shape => shapeToSvg(shape, view)).join('') +
+      labels.map(({text: degrees, left, top}) => text(
+          left + 3, top + 12, degrees, 'font-size="10"')).join('') +
       legend.join('') +
       `<path d="M12 ${y}h${round(barPixels)}" stroke="${
           colourOf('text')}" stroke-width="3"/>` +

@@ -12,6 +12,8 @@ export interface Frame {
   origin: Place;
   /** East and north, in metres. */
   toMap(place: Place): [number, number];
+  /** The way back, where a formula says it. */
+  toEarth?(x: number, y: number): Place;
 }
 
 const RADIANS = Math.PI / 180;
@@ -38,6 +40,10 @@ export function mercatorFrame(origin: Place): Frame {
       scale * (longitude - origin.longitude) * RADIANS,
       scale * (mercatorHeight(latitude) - originHeight),
     ],
+    toEarth: (x, y) => ({
+      latitude: Math.atan(Math.sinh(y / scale + originHeight)) / RADIANS,
+      longitude: origin.longitude + x / scale / RADIANS,
+    }),
   };
 }
 
@@ -78,9 +84,11 @@ export function tangentFrame(origin: Place, heightMeters: number): Frame {
   };
 }
 
-/** The place below a point of the map, which lies within 1000 km of the origin:
- * by steps that each are as long as the rest of the way would be there. */
+/** The place below a point of the map, which lies within 1000 km of the origin
+ * where the frame has no formula: by steps that each are as long as the rest of
+ * the way would be there. */
 export function toEarth(frame: Frame, x: number, y: number): Place {
+  if (frame.toEarth) return frame.toEarth(x, y);
   const place = {...frame.origin};
   for (let step = 0; step < STEPS; ++step) {
     const [px, py] = frame.toMap(place);

@@ -25,13 +25,14 @@ const FINEST_TOLERANCE_METERS = 0.1;
 const TOLERANCE_FACTOR = 3;
 const LEVELS = 12;
 
-/** Chunks of joined nodes. Neighbours share a node where they are joined. */
-function splitIntoChunks(size: number, joined: Uint8Array):
+/** Chunks of joined nodes, from one of them on. Neighbours share a node where
+ * they are joined. */
+function splitIntoChunks(from: number, size: number, joined: Uint8Array):
     {first: number[], last: number[]} {
   const first: number[] = [];
   const last: number[] = [];
-  let begin = 0;
-  for (let i = 1; i <= size; ++i) {
+  let begin = from;
+  for (let i = from + 1; i <= size; ++i) {
     const cut = i === size || !joined[i];
     if (!cut && i - begin < CHUNK_NODES) continue;
     first.push(begin);
@@ -92,13 +93,9 @@ function simplifyLevel(finer: Level, x: Float64Array, y: Float64Array,
   return {toleranceMeters, nodes: Uint32Array.from(kept), starts};
 }
 
-export function buildPyramid(x: Float64Array, y: Float64Array,
-                             joined: Uint8Array): Pyramid {
-  const chunks = splitIntoChunks(x.length, joined);
-  const first = Uint32Array.from(chunks.first);
-  const last = Uint32Array.from(chunks.last);
+function boxesOf(first: Uint32Array, last: Uint32Array, x: Float64Array,
+                 y: Float64Array): Float64Array {
   const boxes = new Float64Array(4 * first.length);
-  const starts = new Uint32Array(first.length + 1);
   for (let c = 0; c < first.length; ++c) {
     const box = [Infinity, Infinity, -Infinity, -Infinity];
     for (let i = first[c]; i <= last[c]; ++i) {
@@ -108,19 +105,74 @@ export function buildPyramid(x: Float64Array, y: Float64Array,
       box[3] = Math.max(box[3], y[i]);
     }
     boxes.set(box, 4 * c);
+  }
+  return boxes;
+}
+
+/** All nodes of all chunks. */
+function finestLevel(first: Uint32Array, last: Uint32Array): Level {
+  const starts = new Uint32Array(first.length + 1);
+  for (let c = 0; c < first.length; ++c) {
     starts[c + 1] = starts[c] + last[c] - first[c] + 1;
   }
-  const all = new Uint32Array(starts[first.length]);
+  const nodes = new Uint32Array(starts[first.length]);
   for (let c = 0; c < first.length; ++c) {
     for (let i = first[c]; i <= last[c]; ++i) {
-      all[starts[c] + i - first[c]] = i;
+      nodes[starts[c] + i - first[c]] = i;
     }
   }
-  const levels: Level[] = [{toleranceMeters: 0, nodes: all, starts}];
+  return {toleranceMeters: 0, nodes, starts};
+}
+
+/** The pyramid of the nodes from one on. */
+function buildFrom(from: number, x: Float64Array, y: Float64Array,
+                   joined: Uint8Array): Pyramid {
+  const chunks = splitIntoChunks(from, x.length, joined);
+  const first = Uint32Array.from(chunks.first);
+  const last = Uint32Array.from(chunks.last);
+  const levels = [finestLevel(first, last)];
   let tolerance = FINEST_TOLERANCE_METERS;
   while (levels.length < LEVELS) {
     levels.push(simplifyLevel(levels[levels.length - 1], x, y, tolerance));
     tolerance *= TOLERANCE_FACTOR;
   }
-  return {first, last, boxes, levels};
+  return {first, last, boxes: boxesOf(first, last, x, y), levels};
+}
+
+export function buildPyramid(x: Float64Array, y: Float64Array,
+                             joined: Uint8Array): Pyramid {
+  return buildFrom(0, x, y, joined);
+}
+
+function joinArrays<Numbers extends Uint32Array|Float64Array>(
+    before: Numbers, after: Numbers): Numbers {
+  const Kind = before.constructor as new (size: number) => Numbers;
+  const both = new Kind(before.length + after.length);
+  both.set(before);
+  both.set(after, before.length);
+  return both;
+}
+
+/** The same as buildPyramid() makes of nodes of which the first `pyramid` has:
+ * all chunks but the last one stay as they are. */
+export function growPyramid(pyramid: Pyramid, x: Float64Array, y: Float64Array,
+                            joined: Uint8Array): Pyramid {
+  const kept = pyramid.first.length - 1;
+  if (kept < 0) return buildPyramid(x, y, joined);
+  const tail = buildFrom(pyramid.first[kept], x, y, joined);
+  return {
+    first: joinArrays(pyramid.first.subarray(0, kept), tail.first),
+    last: joinArrays(pyramid.last.subarray(0, kept), tail.last),
+    boxes: joinArrays(pyramid.boxes.subarray(0, 4 * kept), tail.boxes),
+    levels: pyramid.levels.map(({toleranceMeters, nodes, starts}, i) => {
+      const added = tail.levels[i];
+      const end = starts[kept];
+      return {
+        toleranceMeters,
+        nodes: joinArrays(nodes.subarray(0, end), added.nodes),
+        starts: joinArrays(starts.subarray(0, kept),
+                           added.starts.map(start => start + end)),
+      };
+    }),
+  };
 }

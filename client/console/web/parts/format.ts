@@ -47,6 +47,14 @@ export function time(stamp: Timestamp|undefined): string {
                  '';
 }
 
+/** Milliseconds since 1970 as a time of UTC with its milliseconds; '' for
+ * NaN. */
+export function instant(millisecondsSince1970: number): string {
+  return Number.isNaN(millisecondsSince1970) ? '' :
+      new Date(millisecondsSince1970).toISOString()
+          .replace('T', ' ').replace('Z', ' UTC');
+}
+
 /** A time of today, or a day with its time, in the reader's own zone. */
 export function moment(millisecondsSince1970: number): string {
   const date = new Date(millisecondsSince1970);

@@ -1,13 +1,16 @@
 import {elementScroll, observeElementOffset, observeElementRect, Virtualizer}
     from '@tanstack/virtual-core';
 import type {ComponentChildren} from 'preact';
-import {useEffect, useLayoutEffect, useReducer, useRef} from 'preact/hooks';
+import {useEffect, useLayoutEffect, useMemo, useReducer, useRef, useState} from
+    'preact/hooks';
 
 export interface Column<Row> {
   title: string;
   cell: (row: Row) => ComponentChildren;
   /** Numbers are aligned at their right. */
   number?: boolean;
+  /** What rows are sorted by where somebody chooses the column. */
+  by?: (row: Row) => number|string;
 }
 
 interface Props<Row> {
@@ -21,16 +24,70 @@ interface Props<Row> {
   pinned?: boolean;
   /** Shown if there are no rows. */
   empty: ComponentChildren;
+  /** Key of a row that somebody points at elsewhere. */
+  pointed?: string;
+  /** Told the key of the row that somebody points at here, or has moved the
+   * focus into. */
+  onPoint?: (key: string|undefined) => void;
   /** Told which rows are in view. */
   onVisible?: (rows: Row[]) => void;
 }
 
 const ROW_PIXELS = 32;
 
+/** The column by which rows are sorted. */
+interface Order {
+  title: string;
+  direction: 1|-1;
+}
+
+function sorted<Row>(rows: Row[], columns: Array<Column<Row>>,
+                     order: Order|undefined): Row[] {
+  const by = columns.find(({title}) => title === order?.title)?.by;
+  if (!order || !by) return rows;
+  const keys = new Map(rows.map(row => [row, by(row)]));
+  return [...rows].sort((a, b) => {
+    const [x, y] = [keys.get(a)!, keys.get(b)!];
+    return order.direction * (typeof x === 'string' ?
+        x.localeCompare(String(y), 'en', {numeric: true}) :
+        // What is not known comes last.
+        (Number.isNaN(x) ? Infinity : x) - (Number.isNaN(y as number) ?
+            Infinity : y as number) || 0);
+  });
+}
+
+function Head<Row>({column: {title, number, by}, order, onOrder}: {
+  column: Column<Row>, order: Order|undefined,
+  onOrder: (order: Order|undefined) => void,
+}) {
+  const mine = order?.title === title ? order : undefined;
+  // Upwards, downwards, then as it came.
+  const next = () => onOrder(
+      !mine ? {title, direction: 1} :
+      mine.direction === 1 ? {title, direction: -1} : undefined);
+  return (
+    <th scope="col" class={number ? 'number' : ''} aria-sort={
+        !mine ? undefined :
+        mine.direction === 1 ? 'ascending' : 'descending'}>
+      {by ? (
+        <button type="button" onClick={next}>
+          {title}
+          <span aria-hidden="true">
+            {mine ? mine.direction === 1 ? '▲' : '▼' : '↕'}
+          </span>
+        </button>
+      ) : title}
+    </th>
+  );
+}
+
 /** A table of any length: only the rows in view are in the page. */
 export function Table<Row>(
-    {label, columns, rows, keyOf, current, pinned, empty, onVisible}:
-        Props<Row>) {
+    {label, columns, rows: given, keyOf, current, pinned, empty, pointed,
+     onPoint, onVisible}: Props<Row>) {
+  const [order, setOrder] = useState<Order>();
+  const rows = useMemo(() => sorted(given, columns, order),
+                       [given, columns, order]);
   const [, redraw] = useReducer((n: number) => n + 1, 0);
   const scroller = useRef<HTMLDivElement>(null);
   const kept = useRef<Virtualizer<HTMLDivElement, Element>>();
@@ -55,6 +112,16 @@ export function Table<Row>(
     if (index >= 0) virtualizer.scrollToIndex(index, {align: 'auto'});
   }, [index]);
 
+  // Rows that are pointed at on a map come into view, those pointed at here are.
+  const pointedIndex = pointed === undefined ?
+      -1 : rows.findIndex(row => keyOf(row) === pointed);
+  useEffect(() => {
+    const here = scroller.current!.matches(':hover, :focus-within');
+    if (pointedIndex >= 0 && !here) {
+      virtualizer.scrollToIndex(pointedIndex, {align: 'auto'});
+    }
+  }, [pointedIndex]);
+
   const items = virtualizer.getVirtualItems();
   const visible = items.map(item => rows[item.index]);
   const visibleKeys = visible.map(keyOf).join();
@@ -68,10 +135,9 @@ export function Table<Row>(
       <table aria-rowcount={rows.length + 1} aria-label={label}>
         <thead>
           <tr aria-rowindex={1}>
-            {columns.map(({title, number}) => (
-              <th key={title} scope="col" class={number ? 'number' : ''}>
-                {title}
-              </th>
+            {columns.map(column => (
+              <Head key={column.title} column={column} order={order}
+                    onOrder={setOrder} />
             ))}
           </tr>
         </thead>
@@ -79,6 +145,11 @@ export function Table<Row>(
           {above > 0 && <tr class="space" style={{height: `${above}px`}} />}
           {items.map(({index: i}) => (
             <tr key={keyOf(rows[i])} aria-rowindex={i + 2}
+                class={keyOf(rows[i]) === pointed ? 'pointed' : undefined}
+                onMouseEnter={() => onPoint?.(keyOf(rows[i]))}
+                onMouseLeave={() => onPoint?.(undefined)}
+                onFocusCapture={() => onPoint?.(keyOf(rows[i]))}
+                onBlurCapture={() => onPoint?.(undefined)}
                 aria-current={i === index ? 'true' : undefined}>
               {columns.map(({title, cell, number}) => (
                 <td key={title} class={number ? 'number' : ''}>

@@ -2,7 +2,9 @@ import {useEffect, useMemo, useRef} from 'preact/hooks';
 
 import {type CandidateSet, Verdict} from
     '../../gen/revisit/v1/candidate_pb.js';
-import {type Found, keyOf, verdictName} from '../data/candidates.js';
+import {type Found, keyOf, pairOf, verdictName} from
+    '../data/candidates.js';
+import {type Pair, pairName} from '../data/decisions.js';
 import {type VehicleStore, vehicleStore} from '../data/vehicle.js';
 import {CurveView} from '../draw/curve.js';
 import {MapView} from '../draw/map.js';
@@ -10,8 +12,11 @@ import type {MapSheet} from '../draw/svg.js';
 import {Export} from '../parts/export.js';
 import {type Fact, FactList} from '../parts/facts.js';
 import {count, fixed, probability, words} from '../parts/format.js';
+import {useTitle} from '../title.js';
 import {DecisionPanel} from './candidate_decision.js';
-import {overlayOf} from './candidate_overlay.js';
+import {alignedByDistance, alignedBySearch, overlayOf} from
+    './candidate_overlay.js';
+import {Locator, PairTable} from './candidate_pair.js';
 import {evidenceOf, factsOf, MEANING, RuleTable} from './candidate_rules.js';
 import {linkTo, openQueue, posesToAsk} from './drive.js';
 
@@ -65,7 +70,8 @@ function useFound(set: CandidateSet|undefined, asked: number,
   const candidate = set?.candidates.find(
       ({matched: node}) => Number(node!.sequence) === matched);
   if (set && candidate) kept.current = {asked, set, candidate};
-  const same = kept.current && keyOf(kept.current) === `${asked}-${matched}`;
+  const same = set && kept.current &&
+      keyOf(kept.current) === `${asked}-${matched}`;
   return {found: same ? kept.current : undefined,
           past: set !== undefined && !candidate};
 }
@@ -81,28 +87,39 @@ export function CandidateView({id, asked, matched}: Props) {
   const graph = store.graph.value;
   const vehicle = store.vehicle.value;
   const checks = store.checks.value;
+  const most = store.searches.value;
   const shown = useRef<MapSheet>();
   useEffect(() => {
-    const later = posesToAsk(checks, Infinity);
-    store.candidates.want([asked, ...later.filter(pose => pose !== asked)]);
-  }, [store, checks, asked]);
+    const later = posesToAsk(checks, Infinity, most);
+    store.candidates.want(
+        [asked, ...later.filter(pose => pose !== asked)], asked);
+  }, [store, checks, asked, most]);
   const answer = store.candidates.answers.value.get(asked);
-  const {found, past} = useFound(answer?.set, asked, matched);
+  const decided = store.decidedAt(asked, matched);
+  const {found, past} = useFound(decided ? undefined : answer?.set, asked,
+                                 matched);
   const queue = openQueue(store);
   const candidate = found?.candidate;
-  const overlay = useMemo(
-      () => graph && candidate && overlayOf(graph, candidate),
-      [graph, candidate]);
+  const pair: Pair = decided ??
+      (found ? pairOf(found) : store.pairAt(asked, matched));
+  const sequenceLength = vehicle?.settings?.sequenceLengthMeters ?? 0;
+  const overlay = useMemo(() => {
+    if (!graph) return undefined;
+    const aligned = candidate ? alignedBySearch(graph, candidate) : [];
+    return overlayOf(graph, aligned.length > 0 ? aligned :
+        alignedByDistance(graph, pair, sequenceLength));
+  }, [graph, candidate, pair.query, pair.matched, sequenceLength]);
   const evidence = candidate && evidenceOf(
       candidate, vehicle?.settings?.acceptanceProbability ?? NaN);
   const facts = candidate && factsOf(candidate);
-  const title = `Pose ${count(candidate?.query?.sequence ?? asked)} at pose ${
-      count(matched)}`;
+  const title = `Pose ${count(pair.query)} at pose ${count(matched)}`;
   const name = vehicle?.displayName || id;
+  useTitle(pairName(pair), name);
   return (
     <>
       <p class="crumbs">
-        <a href={`/vehicles/${id}`}>{name}</a>
+        <a href={`/vehicles/${id}`}>{name}</a>{' '}
+        {name !== id && <code>{id}</code>}
       </p>
       <div class="title">
         <h1>{title}</h1>
@@ -115,58 +132,61 @@ export function CandidateView({id, asked, matched}: Props) {
             : {MEANING[candidate.verdict]}
           </p>
         )}
-        {candidate && (
-          <Export name={`${id}-${asked}-${matched}`} sheet={() => ({
-            title: `${name}: ${title}, ${verdictName(candidate.verdict)}`,
-            map: shown.current,
-            curves: overlay && [overlay.residuals],
-            facts: [...evidence!.map(({rule, got, allowed}):
-                        Fact => [rule, `${got}  ${allowed}`]), ...facts!],
-          })} />
-        )}
+        <Export name={`${id}-${asked}-${matched}`} sheet={() => ({
+          title: `${name}: ${title}${
+              candidate ? `, ${verdictName(candidate.verdict)}` : ''}`,
+          map: shown.current,
+          curves: overlay && [overlay.residuals],
+          facts: [...(evidence ?? []).map(({rule, got, allowed}):
+                      Fact => [rule, `${got}  ${allowed}`]), ...facts ?? []],
+        })} />
       </div>
       {(store.error.value || answer?.error) && (
         <p class="error" role="status">
           {store.error.value ?? answer?.error}
         </p>
       )}
-      {!answer && <p role="status">Asking the server…</p>}
+      {graph && vehicle &&
+        <DecisionPanel store={store} pair={pair} queue={queue} />}
+      {!answer && !decided && <p role="status">Asking the server…</p>}
       {past && (
         <p class="hint" role="status">
-          The server no longer offers this pair at this pose
-          {found ? '; what is shown is from before.' : '.'}
+          The server no longer offers this pair at this pose{found ?
+            '; what the rules looked at is from before.' :
+            ': it is drawn from the path alone, as far back as the sequence.'}
         </p>
       )}
-      {found && <DecisionPanel store={store} found={found} queue={queue} />}
       {vehicle && (
         <p class="hint">
-          Loop closures: {count(store.closures.value.length)}. Rejected:{' '}
-          {count(store.rejections.value.length)}. Inflation estimated of them:
-          {' '}{vehicle.consistency ?
+          Loop closures: {count(store.decisions.closures.value.length)}.
+          Rejected: {count(store.decisions.rejections.value.length)}. Inflation
+          estimated of them: {vehicle.consistency ?
                     fixed(vehicle.consistency.inflation, 2) : '–'}.
         </p>
       )}
-      {candidate && (
-        <div class="map-and-table">
+      <div class="map-and-table">
+        <div>
           {overlay ? (
             <MapView scene={overlay.scene} shownRef={shown}
                      label={'Both passes, laid over each other; the table ' +
                             'has the numbers'} />
           ) : (
             <p class="map">
-              {candidate.alignedPath.length === 0 ?
-                'The server sent no aligned path.' : 'Loading the path…'}
+              {graph ? 'The vehicle keeps no path at these poses.' :
+                       'Loading the path…'}
             </p>
           )}
-          <div class="side">
-            <RuleTable rows={evidence!} />
-            <FactList facts={facts!} />
-            <Posterior store={store} found={found!} />
-          </div>
+          {overlay && <CurveView key={`${asked}-${matched}`}
+                                 curve={overlay.residuals} />}
         </div>
-      )}
-      {overlay && <CurveView key={`${asked}-${matched}`}
-                             curve={overlay.residuals} />}
+        <div class="side">
+          {graph && <PairTable store={store} graph={graph} pair={pair} />}
+          {graph && graph.size > 0 && <Locator graph={graph} pair={pair} />}
+          {evidence && <RuleTable rows={evidence} />}
+          {facts && <FactList facts={facts} />}
+          {found && <Posterior store={store} found={found} />}
+        </div>
+      </div>
     </>
   );
 }

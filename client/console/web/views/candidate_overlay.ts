@@ -1,6 +1,7 @@
-// How both passes of a candidate are laid over each other.
+// How both passes of a pair are laid over each other.
 import type {Candidate} from '../../gen/revisit/v1/candidate_pb.js';
-import type {Graph} from '../data/graph.js';
+import type {Pair} from '../data/decisions.js';
+import {type Graph, nodeAt, nodeAtDistance} from '../data/graph.js';
 import type {Curve} from '../draw/curve.js';
 import {dots, type Scene, strokes} from '../draw/scene.js';
 import {apply, fit} from '../geometry/rigid.js';
@@ -14,17 +15,46 @@ export interface Overlay {
   residuals: Curve;
 }
 
+/** Nodes of this pass with those of the earlier one, the oldest first. */
+export type AlignedNodes = Array<[number, number]>;
+
+/** The pairs that a search has aligned; none where they are not those of this
+ * graph. */
+export function alignedBySearch(graph: Graph, {alignedPath}: Candidate):
+    AlignedNodes {
+  const pairs = alignedPath.map(
+      ({queryIndex, matchedIndex}): [number, number] =>
+          [Number(queryIndex), Number(matchedIndex)]);
+  return pairs.some(([q, m]) => q >= graph.size || m >= graph.size) ? [] :
+                                                                      pairs;
+}
+
+/** Nodes that lie as far before the query as those of the earlier pass before
+ * the match (behind it, where that was driven the other way), as far back as
+ * `lengthMeters`: for pairs that no search offers today. */
+export function alignedByDistance(graph: Graph, {query, matched}: Pair,
+                                  lengthMeters: number): AlignedNodes {
+  const [q, m] = [nodeAt(graph, query), nodeAt(graph, matched)];
+  if (q < 0 || m < 0) return [];
+  const {travelled, heading, joined} = graph;
+  const sense = Math.cos(heading[q] - heading[m]) < 0 ? 1 : -1;
+  const pairs: AlignedNodes = [];
+  for (let i = q; i >= 0; --i) {
+    const back = travelled[q] - travelled[i];
+    const distance = travelled[m] + sense * back;
+    const j = nodeAtDistance(graph, distance - 1e-6);
+    if (back > lengthMeters || distance < 0 || j >= graph.size) break;
+    pairs.push([i, j]);
+    if (!joined[i]) break;
+  }
+  return pairs.reverse();
+}
+
 /** Both passes, the recent one moved and turned so that it lies on the earlier
  * one as well as it can, and how far the pairs are apart then. */
-export function overlayOf(graph: Graph, candidate: Candidate):
+export function overlayOf(graph: Graph, pairs: AlignedNodes):
     Overlay|undefined {
-  const pairs = candidate.alignedPath.map(
-      ({queryIndex, matchedIndex}) => [Number(queryIndex),
-                                       Number(matchedIndex)]);
-  if (pairs.length === 0 ||
-      pairs.some(([q, m]) => q >= graph.size || m >= graph.size)) {
-    return undefined;
-  }
+  if (pairs.length === 0) return undefined;
   const {x, y, heading, travelled} = graph;
   // Metres from the matched node, in which small differences are not lost.
   const [, end] = pairs[pairs.length - 1];

@@ -1,48 +1,50 @@
 // Shared by the views of a vehicle: which candidates are asked for, and how
 // its path, checks and decisions are drawn.
-import {type Candidate, Verdict} from '../../gen/revisit/v1/candidate_pb.js';
-import {allFound, type Answer, type Found, keyOf} from
+import {type Node, Verdict} from '../../gen/revisit/v1/candidate_pb.js';
+import {allFound, type Answer, type Found, keyOf, pairOf, verdictName} from
     '../data/candidates.js';
+import {type Decision, pairName} from '../data/decisions.js';
 import {type Graph, nodeAt, nodeAtDistance} from '../data/graph.js';
 import type {VehicleStore} from '../data/vehicle.js';
-import {type Colour, dots, type Shape, strokes, type Strokes} from
-    '../draw/scene.js';
+import {type Colour, dots, type Mark, marks, type Shape, strokes,
+        type Strokes, type Things} from '../draw/scene.js';
 import {addEllipse, ellipse95} from '../geometry/ellipse.js';
 import {PathDrawer} from '../geometry/path.js';
 import {boxOf} from '../geometry/view.js';
+import {probability} from '../parts/format.js';
 
-/** A drive may have tens of thousands of checks; so many are asked about. */
-export const MOST_CHECKS = 500;
 const MOST_ELLIPSES = 400;
 
-export const VERDICTS: Array<{verdict: Verdict, colour: Colour}> = [
-  {verdict: Verdict.ACCEPTED, colour: 'accepted'},
-  {verdict: Verdict.AMBIGUOUS, colour: 'ambiguous'},
-  {verdict: Verdict.UNINFORMATIVE, colour: 'uninformative'},
-  {verdict: Verdict.REJECTED_BY_SHAPE, colour: 'rejected-by-shape'},
-  {verdict: Verdict.REJECTED_BY_GATE, colour: 'rejected-by-gate'},
-  {verdict: Verdict.ILL_CONDITIONED, colour: 'ill-conditioned'},
+/** How verdicts are told apart: by colour, dash and mark. */
+export const VERDICTS: Array<{
+  verdict: Verdict, colour: Colour, dash?: [number, number], mark: Mark,
+}> = [
+  {verdict: Verdict.ACCEPTED, colour: 'accepted', mark: 'circle'},
+  {verdict: Verdict.AMBIGUOUS, colour: 'ambiguous', dash: [9, 5],
+   mark: 'diamond'},
+  {verdict: Verdict.UNINFORMATIVE, colour: 'uninformative', dash: [2, 5],
+   mark: 'bar'},
+  {verdict: Verdict.REJECTED_BY_SHAPE, colour: 'rejected-by-shape',
+   dash: [5, 3], mark: 'triangle'},
+  {verdict: Verdict.REJECTED_BY_GATE, colour: 'rejected-by-gate',
+   dash: [14, 4], mark: 'square'},
+  {verdict: Verdict.ILL_CONDITIONED, colour: 'ill-conditioned', dash: [3, 8],
+   mark: 'cross'},
 ];
 
-/** The last checks up to a pose, the newest first. */
-export function posesToAsk(checks: ReadonlyArray<{pose: number}>,
-                           upTo: number): number[] {
+/** The last checks up to a pose, the newest first, as many as may be
+ * searched. */
+export function posesToAsk(checks: ReadonlyArray<{pose: number}>, upTo: number,
+                           most: number): number[] {
   return checks.map(({pose}) => pose).filter(pose => pose <= upTo)
-      .slice(-MOST_CHECKS).reverse();
+      .slice(-most).reverse();
 }
 
 /** Accepted candidates about which nobody has decided. */
 export function openQueue(store: VehicleStore): Found[] {
-  return allFound(store.candidates.answers.value).filter(
-      ({candidate}) => candidate.verdict === Verdict.ACCEPTED &&
-          !decisionAbout(store, candidate));
-}
-
-/** The decision about a candidate, if it had been made at pose `upTo`. */
-export function decisionAbout(store: VehicleStore, candidate: Candidate,
-                              upTo = Infinity) {
-  return store.decisionAbout(Number(candidate.query!.sequence),
-                             Number(candidate.matched!.sequence), upTo);
+  return allFound(store.candidates.answers.value).filter(found =>
+      found.candidate.verdict === Verdict.ACCEPTED &&
+          !store.decisionAbout(pairOf(found)));
 }
 
 export function linkTo(store: VehicleStore, found: Found): string {
@@ -99,21 +101,47 @@ export function ellipseShape(graph: Graph, nodes: number[]): Shape {
   };
 }
 
-/** Links of candidates, one shape for each verdict. */
-export function candidateShapes(store: VehicleStore, found: Found[]): Shape[] {
+/** Where a node lies by the graph; by the search that named it, if the graph is
+ * of before. */
+function positionOf(graph: Graph, {index, sequence, pose}: Node):
+    [number, number] {
+  const i = Number(index);
+  return graph.sequence[i] === Number(sequence) ?
+      [graph.x[i], graph.y[i]] : [pose!.xMeters, pose!.yMeters];
+}
+
+function candidateTip({candidate}: Found): string {
+  const {query, matched, verdict, probability: p} = candidate;
+  return `${pairName({query: Number(query!.sequence),
+                      matched: Number(matched!.sequence)})}: ${
+      verdictName(verdict)}${p === undefined ? '' : `, ${probability(p)}`}`;
+}
+
+/** Links of candidates with marks in their middle, for each verdict. */
+export function candidateShapes(store: VehicleStore, graph: Graph,
+                                found: Found[]): Shape[] {
   // Accepted ones come last, and so lie above the others.
-  return [...VERDICTS].reverse().flatMap(({verdict, colour}) => {
+  return [...VERDICTS].reverse().flatMap(({verdict, colour, dash, mark}) => {
     const members =
         found.filter(({candidate}) => candidate.verdict === verdict);
     if (members.length === 0) return [];
     const segments = members.flatMap(({candidate: {query, matched}}) => [
-      query!.pose!.xMeters, query!.pose!.yMeters,
-      matched!.pose!.xMeters, matched!.pose!.yMeters,
-    ]);
-    const label = Verdict[verdict].toLowerCase().replaceAll('_', ' ');
-    return [strokes({id: `candidates ${label}`, label: `Candidate, ${label}`,
-                     colour, widthPixels: 2,
-                     link: i => linkTo(store, members[i])}, segments)];
+      ...positionOf(graph, query!), ...positionOf(graph, matched!)]);
+    const middles = members.flatMap((_, i) => [
+      (segments[4 * i] + segments[4 * i + 2]) / 2,
+      (segments[4 * i + 1] + segments[4 * i + 3]) / 2]);
+    const things: Things = {
+      link: i => linkTo(store, members[i]),
+      tip: i => candidateTip(members[i]),
+      key: i => keyOf(members[i]),
+    };
+    const name = verdictName(verdict);
+    return [
+      strokes({id: `candidates ${name}`, label: `Candidate, ${name}`, colour,
+               dash, widthPixels: 2, things}, segments),
+      marks({id: `marks ${name}`, label: '', colour, widthPixels: 2}, mark,
+            middles),
+    ];
   });
 }
 
@@ -137,22 +165,26 @@ export function stretchShapes(graph: Graph, found: Found[], cut: number):
                   colour: 'stretch', widthPixels: 7}, segments)];
 }
 
-/** Lines between pairs of poses, as far as both are at most `upTo`: the query is
- * the later one. */
-export function pairShapes(
-    graph: Graph, shape: {id: string, label: string, colour: Colour},
-    pairs: ReadonlyArray<{querySequence: bigint, matchedSequence: bigint}>,
-    upTo: number): Shape[] {
-  const segments: number[] = [];
-  for (const {querySequence, matchedSequence} of pairs) {
-    if (Number(querySequence) > upTo) continue;
-    const i = nodeAt(graph, Number(querySequence));
-    const j = nodeAt(graph, Number(matchedSequence));
-    if (i < 0 || j < 0) continue;
-    segments.push(graph.x[i], graph.y[i], graph.x[j], graph.y[j]);
-  }
-  return segments.length > 0 ?
-      [strokes({...shape, widthPixels: 4}, segments)] : [];
+/** Lines between pairs that were decided about, as far as both poses are at most
+ * `upTo`: the query is the later one. */
+export function decisionShapes(
+    store: VehicleStore, graph: Graph,
+    shape: {id: string, label: string, colour: Colour, dash?: [number, number]},
+    decisions: readonly Decision[], upTo: number): Shape[] {
+  const members = decisions.filter(
+      ({query, matched}) => query <= upTo && nodeAt(graph, query) >= 0 &&
+          nodeAt(graph, matched) >= 0);
+  if (members.length === 0) return [];
+  const segments = members.flatMap(({query, matched}) => {
+    const [i, j] = [nodeAt(graph, query), nodeAt(graph, matched)];
+    return [graph.x[i], graph.y[i], graph.x[j], graph.y[j]];
+  });
+  return [strokes({...shape, widthPixels: 4, things: {
+    link: i => store.addressOf(members[i]),
+    tip: i => `${pairName(members[i])}: ${members[i].kind}${
+        members[i].note ? `, ${members[i].note}` : ''}`,
+    key: i => members[i].name,
+  }}, segments)];
 }
 
 /** Answers to checks up to a pose, by pose. */

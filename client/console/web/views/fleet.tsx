@@ -14,6 +14,7 @@ import {Export} from '../parts/export.js';
 import {count, fixed, length, time, words} from '../parts/format.js';
 import {type Column, Table} from '../parts/table.js';
 import {query, setQuery} from '../route.js';
+import {useTitle} from '../title.js';
 
 /** How far the first vehicle may be from the origin of the map's frame. */
 const FRAME_DEGREES = 0.2;
@@ -48,21 +49,31 @@ function positionText({position, stamp}: Pose): string {
 }
 
 const COLUMNS: Array<Column<FleetVehicle>> = [
-  {title: 'Vehicle', cell: ({id, vehicle}) => (
-    <a href={`/vehicles/${id}`}>{vehicle.displayName || id}</a>)},
-  {title: 'State', cell: ({activity}) => (
+  {title: 'Vehicle', by: ({id, vehicle}) => vehicle.displayName || id,
+   cell: ({id, vehicle}) => (
+    <>
+      <a href={`/vehicles/${id}`}>{vehicle.displayName || id}</a>
+      {vehicle.displayName && vehicle.displayName !== id && <> <code>{id}
+        </code></>}
+    </>)},
+  {title: 'State', by: ({activity}) => activity, cell: ({activity}) => (
     <span class={`state ${activity.replace(' ', '-')}`}>{activity}</span>)},
   {title: 'Poses', number: true,
+   by: ({vehicle}) => Number(vehicle.durableSequence),
    cell: ({vehicle}) => count(vehicle.durableSequence)},
-  {title: 'Nodes', number: true,
+  {title: 'Nodes', number: true, by: ({vehicle}) =>
+     isInMemory(vehicle) ? Number(vehicle.nodeCount) : NaN,
    cell: ({vehicle}) => isInMemory(vehicle) ? count(vehicle.nodeCount) : '–'},
-  {title: 'Travelled', number: true, cell: ({vehicle}) =>
+  {title: 'Travelled', number: true, by: ({vehicle}) =>
+     isInMemory(vehicle) ? vehicle.travelledMeters : NaN, cell: ({vehicle}) =>
      isInMemory(vehicle) ? length(vehicle.travelledMeters) : '–'},
   {title: 'Closures', number: true,
+   by: ({vehicle}) => Number(vehicle.loopClosureCount),
    cell: ({vehicle}) => count(vehicle.loopClosureCount)},
-  {title: 'Inflation', number: true, cell: ({vehicle}) =>
+  {title: 'Inflation', number: true,
+   by: ({vehicle}) => vehicle.consistency?.inflation ?? NaN, cell: ({vehicle}) =>
      vehicle.consistency ? fixed(vehicle.consistency.inflation, 2) : '–'},
-  {title: 'Findings', cell: ({vehicle}) =>
+  {title: 'Findings', by: ({vehicle}) => vehicle.findings.length, cell: ({vehicle}) =>
      vehicle.findings.map(({code, message}) => (
        <span key={code} title={message}>{words(FindingCode[code])} </span>))},
   {title: 'Last pose', cell: ({lastPose}) =>
@@ -113,6 +124,11 @@ function frameFor(placed: PlacedVehicle[], before: Frame|undefined):
   return isNear ? before : mercatorFrame({latitude, longitude});
 }
 
+function tipOf({id, vehicle, activity}: FleetVehicle): string {
+  const name = vehicle.displayName ? `${vehicle.displayName} (${id})` : id;
+  return `${name}: ${activity}, ${count(vehicle.durableSequence)} poses`;
+}
+
 /** Geodetic vehicles in one frame; those with local frames have none in
  * common. */
 function sceneOf(placed: PlacedVehicle[], frame: Frame|undefined): Scene {
@@ -128,7 +144,11 @@ function sceneOf(placed: PlacedVehicle[], frame: Frame|undefined): Scene {
     const positions = members.flatMap(place => frame!.toMap(place));
     all.push(...positions);
     return dots({id: label, label, colour, radiusPixels: 6,
-                 link: i => `/vehicles/${members[i].vehicle.id}`}, positions);
+                 things: {
+                   link: i => `/vehicles/${members[i].vehicle.id}`,
+                   tip: i => tipOf(members[i].vehicle),
+                   key: i => members[i].vehicle.id,
+                 }}, positions);
   }).filter(({positions}) => positions.length > 0);
   return {shapes, box: boxAround(all)};
 }
@@ -148,6 +168,8 @@ export function FleetView() {
   const scene = useMemo(() => sceneOf(placed, frame.current), [placed]);
   const onMap = placed.length;
   const elsewhere = vehicles.length - onMap;
+  const [pointed, setPointed] = useState<string>();
+  useTitle('Fleet');
   const [visible, setVisible] = useState<FleetVehicle[]>([]);
   useEffect(() => store.show([...visible, ...vehicles.filter(isGeodetic)].map(
                 ({vehicle}) => vehicle.name)), [visible, vehicles]);
@@ -193,6 +215,7 @@ export function FleetView() {
       </form>
       {onMap > 0 && (
         <MapView scene={scene} frame={frame.current} shownRef={shown}
+                 pointed={pointed} onPoint={setPointed}
                  label={`Map of ${onMap} vehicles with geodetic positions; ` +
                         'the table has the same'} />
       )}
@@ -205,7 +228,7 @@ export function FleetView() {
       )}
       <Table label="Vehicles" columns={COLUMNS} rows={vehicles}
              keyOf={({id}) => id}
-             onVisible={setVisible}
+             onVisible={setVisible} pointed={pointed} onPoint={setPointed}
              empty={all ? (all.length > 0 ? 'No vehicle is like that.' :
                            'There is no vehicle that you may read.') : ''} />
       <p class="hint">

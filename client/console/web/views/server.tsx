@@ -11,6 +11,7 @@ import {Export} from '../parts/export.js';
 import {type Fact, FactList} from '../parts/facts.js';
 import {bytes, count, fixed, words} from '../parts/format.js';
 import {Table} from '../parts/table.js';
+import {useTitle} from '../title.js';
 import {metricsSheet, MetricsView, useMetrics} from './server_metrics.js';
 
 const POLL_MILLISECONDS = 1000;
@@ -122,6 +123,7 @@ function AnsweringServer({last, facts, curves}:
 /** `name` is that of the one of several servers to show; undefined for the
  * view of all. */
 export function ServerView({name}: {name: string|undefined}) {
+  useTitle(name ?? 'Server');
   const {samples, error} = useMemo(() => ({
     samples: signal<Sample[]>([]),
     error: signal<string|undefined>(undefined),

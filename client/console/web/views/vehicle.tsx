@@ -3,10 +3,12 @@ import {useEffect, useMemo, useRef, useState} from 'preact/hooks';
 import {Verdict} from '../../gen/revisit/v1/candidate_pb.js';
 import {FindingCode, type Vehicle, VehicleState} from
     '../../gen/revisit/v1/vehicle_pb.js';
-import {allFound, type Answer, type Found, keyOf, verdictName} from
+import {allFound, type Answer, type Found, keyOf, pairOf, verdictName} from
     '../data/candidates.js';
+import {idle} from '../data/client.js';
+import {type Decision, pairName} from '../data/decisions.js';
 import {type Graph, nodeAt} from '../data/graph.js';
-import {type Decision, type VehicleStore, vehicleStore} from
+import {SEARCHES_AT_ONCE, type VehicleStore, vehicleStore} from
     '../data/vehicle.js';
 import {type Curve, CurveView} from '../draw/curve.js';
 import {MapView} from '../draw/map.js';
@@ -16,12 +18,15 @@ import {tangentFrame} from '../geometry/frame.js';
 import type {Box} from '../geometry/view.js';
 import {Export} from '../parts/export.js';
 import {type Fact, FactList} from '../parts/facts.js';
-import {count, fixed, length, probability, words} from '../parts/format.js';
+import {count, fixed, instant, length, probability, words} from
+    '../parts/format.js';
 import {type Column, Table} from '../parts/table.js';
-import {query, setQuery} from '../route.js';
-import {answersUpTo, candidateShapes, decisionAbout, ellipseShape, linkTo,
-        MOST_CHECKS, pairShapes, pathShapes, posesToAsk, stretchShapes,
-        VERDICTS} from './drive.js';
+import {go, query, setQuery} from '../route.js';
+import {useTitle} from '../title.js';
+import {answersUpTo, candidateShapes, decisionShapes, ellipseShape, linkTo,
+        openQueue, pathShapes, posesToAsk, stretchShapes, VERDICTS} from
+    './drive.js';
+import {Settings} from './vehicle_settings.js';
 
 const REPLAY_SECONDS = 60;
 const FRAME_MILLISECONDS = 100;
@@ -41,39 +46,53 @@ function boxOfGraph({x, y, size}: Graph): Box|undefined {
 }
 
 function columnsFor(store: VehicleStore, at: number): Array<Column<Found>> {
+  const decision = (found: Found) =>
+      store.decisionAbout(pairOf(found), at)?.kind ?? '';
   return [
-    {title: 'Pose', number: true, cell: found => (
+    {title: 'Pose', number: true, by: found => pairOf(found).query,
+     cell: found => (
       <a href={linkTo(store, found)}
          aria-label={`${count(found.candidate.query!.sequence)} at pose ${
              count(found.candidate.matched!.sequence)}`}>
         {count(found.candidate.query!.sequence)}
       </a>)},
-    {title: 'Match', number: true,
+    {title: 'Match', number: true, by: found => pairOf(found).matched,
      cell: ({candidate}) => count(candidate.matched!.sequence)},
-    {title: 'Verdict', cell: ({candidate: {verdict}}) => (
+    {title: 'Verdict', by: ({candidate}) => verdictName(candidate.verdict),
+     cell: ({candidate: {verdict}}) => (
       <span class={`verdict ${words(Verdict[verdict]).replaceAll(' ', '-')}`}>
         {verdictName(verdict)}
       </span>)},
-    {title: 'Probability', number: true, cell: ({candidate}) =>
-       candidate.probability === undefined ?
-           '–' : probability(candidate.probability)},
-    {title: 'd² / gate', number: true, cell: ({candidate: {gate}}) =>
+    {title: 'Probability', number: true,
+     by: ({candidate}) => candidate.probability ?? NaN,
+     cell: ({candidate}) => candidate.probability === undefined ?
+         '–' : probability(candidate.probability)},
+    {title: 'd² / gate', number: true,
+     by: ({candidate: {gate}}) =>
+         gate!.squaredMahalanobisDistance / gate!.threshold,
+     cell: ({candidate: {gate}}) =>
        `${fixed(gate!.squaredMahalanobisDistance, 2)} / ${
            fixed(gate!.threshold, 2)}`},
-    {title: 'Rank', number: true, cell: ({candidate}) => candidate.rank},
-    {title: 'Decision', cell: ({candidate}) =>
-       decisionAbout(store, candidate, at)?.kind ?? ''},
+    {title: 'Rank', number: true, by: ({candidate}) => candidate.rank,
+     cell: ({candidate}) => candidate.rank},
+    {title: 'Decision', by: decision, cell: decision},
   ];
 }
 
-const DECISION_COLUMNS: Array<Column<Decision>> = [
-  {title: 'Pose', number: true,
-   cell: ({querySequence}) => count(querySequence)},
-  {title: 'Match', number: true,
-   cell: ({matchedSequence}) => count(matchedSequence)},
-  {title: 'Decision', cell: ({kind}) => kind},
-  {title: 'Note', cell: ({note}) => note},
-];
+function decisionColumns(store: VehicleStore): Array<Column<Decision>> {
+  return [
+    {title: 'Pose', number: true, by: ({query}) => query, cell: decision => (
+      <a href={store.addressOf(decision)}
+         aria-label={`${decision.kind} ${pairName(decision)}`}>
+        {count(decision.query)}
+      </a>)},
+    {title: 'Match', number: true, by: ({matched}) => matched,
+     cell: ({matched}) => count(matched)},
+    {title: 'Decision', by: ({kind}) => kind, cell: ({kind}) => kind},
+    {title: 'When', by: ({time}) => time, cell: ({time}) => instant(time)},
+    {title: 'Note', by: ({note}) => note, cell: ({note}) => note},
+  ];
+}
 
 /** Curves up to node `cut`. */
 function curvesOf(graph: Graph, vehicle: Vehicle, answers: Map<number, Answer>,
@@ -126,8 +145,8 @@ function factsNow(vehicle: Vehicle, store: VehicleStore): Fact[] {
     ['Poses', count(vehicle.durableSequence)],
     ['Nodes', count(vehicle.nodeCount)],
     ['Travelled', length(vehicle.travelledMeters)],
-    ['Loop closures', count(store.closures.value.length)],
-    ['Rejected', count(store.rejections.value.length)],
+    ['Loop closures', count(store.decisions.closures.value.length)],
+    ['Rejected', count(store.decisions.rejections.value.length)],
     ['Inflation', consistency ? fixed(consistency.inflation, 2) : '–'],
     ['Revision', count(vehicle.revision)],
   ];
@@ -137,15 +156,14 @@ function factsNow(vehicle: Vehicle, store: VehicleStore): Fact[] {
  * and findings are known of the newest pose only. */
 function factsThen(store: VehicleStore, graph: Graph, at: number,
                    cut: number): Fact[] {
-  const made = (decisions: ReadonlyArray<{querySequence: bigint}>) => count(
-      decisions.filter(
-          ({querySequence}) => Number(querySequence) <= at).length);
+  const made = (decisions: readonly Decision[]) => count(
+      decisions.filter(({query: pose}) => pose <= at).length);
   return [
     ['Poses', count(at)],
     ['Nodes', count(cut + 1)],
     ['Travelled', length(graph.travelled[cut])],
-    ['Loop closures', made(store.closures.value)],
-    ['Rejected', made(store.rejections.value)],
+    ['Loop closures', made(store.decisions.closures.value)],
+    ['Rejected', made(store.decisions.rejections.value)],
   ];
 }
 
@@ -198,18 +216,28 @@ function Slider({newest, at, live}: SliderProps) {
   );
 }
 
-function Shown({hidden, found}: {hidden: Set<string>,
-                                         found: Found[]}) {
-  const toggle = (name: string) => {
-    const changed = new Set(hidden);
-    if (!changed.delete(name)) changed.add(name);
-    setQuery('hide', [...changed].join(',') || undefined);
+/** What is drawn unless the address says otherwise. */
+const SHOWN_AT_FIRST = ['ellipse', 'accepted'];
+
+function shownIn(filters: URLSearchParams): Set<string> {
+  const named = filters.get('show');
+  return new Set(named === null ? SHOWN_AT_FIRST :
+                                  named.split(',').filter(Boolean));
+}
+
+function Shown({shown, found}: {shown: Set<string>, found: Found[]}) {
+  const show = (names: Iterable<string>) => {
+    const text = [...names].join();
+    setQuery('show', text === SHOWN_AT_FIRST.join() ? undefined : text);
   };
+  const all = ['ellipse', ...VERDICTS.map(({colour}) => colour)];
+  const toggle = (name: string) => show(all.filter(
+      other => shown.has(other) !== (other === name)));
   return (
     <fieldset class="verdicts">
       <legend>Shown</legend>
       <label class="check">
-        <input type="checkbox" checked={!hidden.has('ellipse')}
+        <input type="checkbox" checked={shown.has('ellipse')}
                onChange={() => toggle('ellipse')} />
         95 % ellipses
       </label>
@@ -218,15 +246,85 @@ function Shown({hidden, found}: {hidden: Set<string>,
             ({candidate}) => candidate.verdict === verdict).length;
         return (
           <label key={colour} class="check">
-            <input type="checkbox" checked={!hidden.has(colour)}
+            <input type="checkbox" checked={shown.has(colour)}
                    onChange={() => toggle(colour)} />
             <span class={`verdict ${colour}`}>{verdictName(verdict)}</span>
             <span class="count">{number}</span>
           </label>
         );
       })}
+      <button type="button" onClick={() => show(all)}>All</button>
     </fieldset>
   );
+}
+
+/** Which checks were searched, and how to search more of them, or anew. */
+function Searches({store, at}: {store: VehicleStore, at: number}) {
+  const checks = store.checks.value;
+  const answers = store.candidates.answers.value;
+  const askable = posesToAsk(checks, at, store.searches.value);
+  const due = checks.filter(({pose}) => pose <= at).length;
+  const known = askable.filter(pose => answers.get(pose)?.set).length;
+  const old = askable.filter(pose => answers.get(pose)?.outdated).length;
+  const failed = askable.map(pose => answers.get(pose)?.error)
+                     .find(error => error);
+  const more = Math.min(SEARCHES_AT_ONCE, due - askable.length);
+  return (
+    <>
+      <p class="hint" role="status">
+        {checks.length === 0 ?
+          'No check has fallen due yet.' :
+          `${count(known)} of ${count(askable.length)} checks answered`}
+        {idle.value && known < askable.length &&
+          ', the rest once somebody is back'}
+        {failed && `. ${failed}`}
+      </p>
+      {old > 0 && (
+        <p class="hint">
+          {count(old)} of the answers are from before something changed.{' '}
+          <button type="button" onClick={() => store.candidates.askAnew()}>
+            Search {count(old)} anew
+          </button>
+        </p>
+      )}
+      {more > 0 && (
+        <p class="hint">
+          {count(due)} checks fell due up to this pose: candidates are those of
+          the last {count(askable.length)}.{' '}
+          <button type="button"
+                  onClick={() => store.searches.value += SEARCHES_AT_ONCE}>
+            Search {count(more)} earlier ones
+          </button>
+        </p>
+      )}
+    </>
+  );
+}
+
+/** The way to what is to be decided: by a key from anywhere in the view. */
+function Review({store, queue}: {store: VehicleStore, queue: Found[]}) {
+  const first = queue.length > 0 ? linkTo(store, queue[0]) : undefined;
+  const latest = useRef(first);
+  latest.current = first;
+  useEffect(() => {
+    const onKey = (event: KeyboardEvent) => {
+      const isTyping = (event.target as HTMLElement).closest(
+          'input, textarea, select, [role=region]');
+      if (event.key !== 'j' || event.ctrlKey || event.metaKey ||
+          event.altKey || isTyping || !latest.current) {
+        return;
+      }
+      event.preventDefault();
+      go(latest.current);
+    };
+    addEventListener('keydown', onKey);
+    return () => removeEventListener('keydown', onKey);
+  }, []);
+  return first ?
+    <a class="button" href={first}>
+      Review {count(queue.length)} open <kbd>j</kbd>
+    </a> :
+    <span class="hint">Nothing to review among the checks searched.</span>;
 }
 
 export function VehicleView({id}: {id: string}) {
@@ -234,54 +332,58 @@ export function VehicleView({id}: {id: string}) {
   const vehicle = store.vehicle.value;
   const graph = store.graph.value;
   const checks = store.checks.value;
+  const most = store.searches.value;
+  const {closures, rejections, all: everyDecision} = store.decisions;
   const sheet = useRef<MapSheet>();
+  const [pointed, setPointed] = useState<string>();
   const newest = Number(vehicle?.durableSequence ?? 0);
   const asked = Number(query.value.get('at') ?? NaN);
   const live = !(asked >= 1 && asked < newest);
   const at = live ? newest : asked;
-  const hidden = useMemo(
-      () => new Set((query.value.get('hide') ?? '').split(',').filter(Boolean)),
-      [query.value]);
+  const shown = useMemo(() => shownIn(query.value), [query.value]);
 
-  useEffect(() => store.candidates.want(posesToAsk(checks, at)),
-            [store, checks, at]);
+  useEffect(() => store.candidates.want(posesToAsk(checks, at, most)),
+            [store, checks, at, most]);
   const allAnswers = store.candidates.answers.value;
   const answers = useMemo(() => answersUpTo(allAnswers, at), [allAnswers, at]);
   const found = useMemo(() => allFound(answers), [answers]);
+  const queue = openQueue(store);
   const colours = new Map(VERDICTS.map(({verdict, colour}) =>
                                            [verdict, colour]));
-  const shown = useMemo(
+  const listed = useMemo(
       () => found.filter(({candidate: {verdict}}) =>
-                             !hidden.has(colours.get(verdict)!)),
-      [found, hidden]);
+                             shown.has(colours.get(verdict)!)),
+      [found, shown]);
 
   const cut = graph ? Math.max(0, nodeAt(graph, at)) : 0;
   const paths = useMemo(() => graph && graph.size > 0 ?
                             pathShapes(graph, cut) : [], [graph, cut]);
   const ellipses = useMemo(
-      () => graph && !hidden.has('ellipse') ? [ellipseShape(graph,
+      () => graph && shown.has('ellipse') ? [ellipseShape(graph,
                                   checks.filter(({pose}) => pose <= at)
                                       .map(({node}) => node))] : [],
-      [graph, checks, at, hidden]);
+      [graph, checks, at, shown]);
   const stretches = useMemo(
       () => graph ? stretchShapes(
-                        graph, shown.filter(({candidate}) =>
+                        graph, listed.filter(({candidate}) =>
                                    candidate.verdict === Verdict.ACCEPTED),
                         cut) :
                     [],
-      [graph, shown, cut]);
-  const links = useMemo(() => candidateShapes(store, shown), [shown]);
+      [graph, listed, cut]);
+  const links = useMemo(
+      () => graph ? candidateShapes(store, graph, listed) : [],
+      [graph, listed]);
   const decided = useMemo(() => graph ? [
-    ...pairShapes(graph, {id: 'closures', label: 'Loop closure',
-                      colour: 'closure'}, store.closures.value, at),
-    ...pairShapes(graph, {id: 'rejections', label: 'Rejected by a verifier',
-                      colour: 'rejection'}, store.rejections.value, at),
-  ] : [], [graph, store.closures.value, store.rejections.value, at]);
+    ...decisionShapes(store, graph, {id: 'closures', label: 'Loop closure',
+                                     colour: 'closure'}, closures.value, at),
+    ...decisionShapes(store, graph, {
+      id: 'rejections', label: 'Rejected by a verifier', colour: 'rejection',
+      dash: [4, 4]}, rejections.value, at),
+  ] : [], [graph, closures.value, rejections.value, at]);
   const decisions = useMemo(
-      () => store.allDecisions.value
-                .filter(({querySequence}) => querySequence <= at)
-                .sort((a, b) => b.querySequence - a.querySequence),
-      [store.allDecisions.value, at]);
+      () => everyDecision.value.filter(({query: pose}) => pose <= at)
+                .sort((a, b) => b.query - a.query),
+      [everyDecision.value, at]);
   const box = useMemo(() => graph && boxOfGraph(graph), [graph]);
   const scene: Scene = useMemo(() => ({
     shapes: [...ellipses, ...stretches, ...paths.slice(0, -1), ...links,
@@ -296,18 +398,18 @@ export function VehicleView({id}: {id: string}) {
   const curves = useMemo(
       () => graph && vehicle ? curvesOf(graph, vehicle, answers, cut) : [],
       [graph, vehicle, answers, cut]);
-  const columns = useMemo(() => columnsFor(store, at), [store, at]);
-
-  const waiting = [...answers.values()].filter(({outdated}) => outdated).length;
-  const askable = posesToAsk(checks, at);
-  const due = checks.filter(({pose}) => pose <= at).length;
-  const known = askable.filter(pose => answers.get(pose)?.set).length;
-  const failed = [...answers.values()].find(({error}) => error)?.error;
+  const columns = useMemo(() => columnsFor(store, at),
+                          [store, at, everyDecision.value, graph]);
+  const forDecisions = useMemo(() => decisionColumns(store),
+                               [store, checks]);
   const name = vehicle?.displayName || id;
+  useTitle(name);
   return (
     <>
       <div class="title">
         <h1>{name}</h1>
+        {name !== id && <code>{id}</code>}
+        {graph && <Review store={store} queue={queue} />}
         <p role="status">
           {graph ? `Map of revision ${count(graph.revision)}, ${
                        count(graph.size)} nodes` :
@@ -327,6 +429,7 @@ export function VehicleView({id}: {id: string}) {
       {vehicle && (live || !graph || graph.size === 0 ?
         <FactList short facts={factsNow(vehicle, store)} /> :
         <FactList short facts={factsThen(store, graph, at, cut)} />)}
+      {vehicle?.settings && <Settings settings={vehicle.settings} />}
       {live && vehicle?.findings.map(({code, message}) => (
         <p class="error" key={code}>
           <strong>{words(FindingCode[code])}</strong>: {message}
@@ -337,29 +440,19 @@ export function VehicleView({id}: {id: string}) {
           <Slider newest={newest} at={at} live={live} />
           <div class="map-and-table">
             <MapView scene={scene} frame={frame} shownRef={sheet}
+                     pointed={pointed} onPoint={setPointed}
                      label={`Map of the path of ${name}; the table has its ` +
                             'candidates'} />
             <div class="side">
-              <Shown hidden={hidden} found={found} />
-              <p class="hint" role="status">
-                {checks.length === 0 ?
-                  'No check has fallen due yet.' :
-                  `${count(known)} of ${count(askable.length)} checks ` +
-                      'answered' +
-                      (waiting > 0 ? `, ${count(waiting)} asked anew` : '')}
-                {failed && `. ${failed}`}
-              </p>
-              {due > MOST_CHECKS && (
-                <p class="hint">
-                  {count(due)} checks fell due up to this pose: candidates are
-                  those of the last {count(MOST_CHECKS)}. The slider leads back
-                  to earlier ones.
-                </p>
-              )}
-              <Table label="Candidates" columns={columns} rows={shown}
-                     keyOf={keyOf} empty="No candidates." />
-              <Table label="Decisions" columns={DECISION_COLUMNS}
-                     rows={decisions} keyOf={({name}) => name}
+              <Shown shown={shown} found={found} />
+              <Searches store={store} at={at} />
+              <Table label="Candidates" columns={columns} rows={listed}
+                     keyOf={keyOf} pointed={pointed} onPoint={setPointed}
+                     empty={found.length > 0 ? 'None of those shown.' :
+                                               'No candidates.'} />
+              <Table label="Decisions" columns={forDecisions}
+                     rows={decisions} keyOf={({name: key}) => key}
+                     pointed={pointed} onPoint={setPointed}
                      empty="Nobody has confirmed or rejected any." />
             </div>
           </div>
