@@ -68,8 +68,8 @@ class FrameWatch {
   bool HasReturned(const Pose& pose) const;
   // Whether the claims grow over a leap as over the whole way before it.
   bool GrowsAsUsual(const Node& before, const Node& after) const;
-  // The last node of the stretch between two poses before the last such one,
-  // and so on; 0 is the last. REQUIRES: k < ends_count_.
+  // The last node of a stretch between two poses: 0 is that of the last
+  // stretch, 1 that of the one before. REQUIRES: k < ends_count_.
   const Node& End(std::size_t k) const { return ends_[ends_count_ - 1 - k]; }
   void AddEnd(const Node& node);
 

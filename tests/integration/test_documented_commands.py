@@ -396,6 +396,8 @@ class Place:
         receiver = (ROOT / "tests/data/formats/nagoya_spp.pos").read_text()
         for day in ("monday", "tuesday"):
             self.write(f"{day}.pos", receiver)
+            self.write(f"{day}.csv", "t,x,y,yaw", *(
+                f"{t},{x},{y},{yaw}" for t, x, y, yaw in poses))
         self.add_counted_columns(poses)
         # Prints as the program of that name does.
         (self.directory / "odometry.csv").write_text("".join(
