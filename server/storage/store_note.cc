@@ -48,7 +48,7 @@ bool WriteNote(const std::string& path, const StoreNote& note) {
   std::string text = note.word + " " + std::to_string(seconds.count());
   text.resize(kNoteBytes - 1, ' ');
   text += "\n";
-  const int file = open(path.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC, 0644);
+  const int file = open(path.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC, 0600);
   const bool is_written =
       file >= 0 && pwrite(file, text.data(), text.size(), 0) ==
                        static_cast<ssize_t>(text.size());

@@ -1,6 +1,7 @@
 #include "client/cli/commands/stream_summary.h"
 
 #include <cmath>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -10,6 +11,8 @@
 namespace revisit::client {
 namespace {
 
+constexpr double kPauseSeconds = 60.0;
+
 void PrintJson(const StreamSummary& summary, std::ostream& out) {
   nlohmann::ordered_json json;
   json["vehicle"] = summary.vehicle;
@@ -17,6 +20,7 @@ void PrintJson(const StreamSummary& summary, std::ostream& out) {
   json["poses"] = summary.poses;
   json["lengthMeters"] = summary.drive.length_meters();
   json["durationSeconds"] = summary.drive.seconds();
+  json["pausedSeconds"] = summary.drive.paused_seconds();
   json["leftOut"] = {{"standing", summary.left_out.standing},
                      {"wrongChecksums", summary.left_out.wrong_checksums}};
   json["uncertainty"] = summary.uncertainty;
@@ -32,10 +36,18 @@ void PrintJson(const StreamSummary& summary, std::ostream& out) {
 
 std::string DriveText(const DriveExtent& drive) {
   const double length = drive.length_meters();
-  if (drive.seconds() <= 0.0) return absl::StrCat(Fixed(length, 1), " m");
-  return absl::StrCat(Fixed(length, 1), " m in ", Fixed(drive.seconds(), 1),
-                      " s, ", Fixed(length / drive.seconds(), 2),
-                      " m/s on average");
+  std::string text = absl::StrCat(Fixed(length, 1), " m");
+  if (drive.seconds() > 0.0) {
+    absl::StrAppend(&text, " in ", Fixed(drive.seconds(), 1), " s");
+  }
+  if (const std::optional<double> speed = drive.mean_speed()) {
+    absl::StrAppend(&text, ", ", Fixed(*speed, 2), " m/s on average");
+  }
+  if (drive.paused_seconds() > 0.0) {
+    absl::StrAppend(&text, " without pauses of ",
+                    Fixed(drive.paused_seconds(), 1), " s");
+  }
+  return text;
 }
 
 void PrintText(const StreamSummary& summary, std::ostream& out) {
@@ -76,14 +88,26 @@ void PrintText(const StreamSummary& summary, std::ostream& out) {
 
 void DriveExtent::Add(const Sample& sample) {
   if (previous_.has_value()) {
-    length_meters_ += std::hypot(sample.estimate.x - previous_->estimate.x,
-                                 sample.estimate.y - previous_->estimate.y);
+    const double meters = std::hypot(sample.estimate.x - previous_->estimate.x,
+                                     sample.estimate.y - previous_->estimate.y);
+    length_meters_ += meters;
     if (sample.time_nanoseconds.has_value() &&
         previous_->time_nanoseconds.has_value()) {
-      seconds_ += SecondsOf(sample) - SecondsOf(*previous_);
+      const double seconds = SecondsOf(sample) - SecondsOf(*previous_);
+      seconds_ += seconds;
+      if (seconds > kPauseSeconds) {
+        paused_meters_ += meters;
+        paused_seconds_ += seconds;
+      }
     }
   }
   previous_ = sample;
+}
+
+std::optional<double> DriveExtent::mean_speed() const {
+  const double seconds = seconds_ - paused_seconds_;
+  if (seconds <= 0.0) return std::nullopt;
+  return (length_meters_ - paused_meters_) / seconds;
 }
 
 std::string Describe(const LeftOut& left_out) {

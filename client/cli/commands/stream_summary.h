@@ -24,11 +24,18 @@ class DriveExtent {
   double length_meters() const { return length_meters_; }
   // 0 without times.
   double seconds() const { return seconds_; }
+  // The part of it that steps of more than a minute take: nothing was recorded
+  // then, as between two days in one file.
+  double paused_seconds() const { return paused_seconds_; }
+  // Over what is no pause; nothing without times.
+  std::optional<double> mean_speed() const;
 
  private:
   std::optional<Sample> previous_;
   double length_meters_ = 0.0;
   double seconds_ = 0.0;
+  double paused_meters_ = 0.0;
+  double paused_seconds_ = 0.0;
 };
 
 struct StreamSummary {
