@@ -6,6 +6,8 @@ export interface ConsoleSettings {
   metrics: boolean;
   /** Whether it has a base map. */
   baseMap: boolean;
+  /** Whether people can sign in at an issuer. */
+  signIn: boolean;
 }
 
 /** Undefined until the console has answered. */
