@@ -40,7 +40,18 @@ function licences(): Plugin {
             .map(file => readFileSync(join(folder, file), 'utf8'));
         return [`${name} ${version}: ${license}`, ...texts].join('\n\n');
       }).join(`\n${'-'.repeat(80)}\n`);
-      this.emitFile({type: 'asset', name: 'licences.txt', source});
+      this.emitFile({type: 'asset', name: 'notices.txt', source});
+    },
+  };
+}
+
+/** Has Node.js take the program for a module wherever it is copied to. */
+function asModule(): Plugin {
+  return {
+    name: 'as-module',
+    generateBundle() {
+      this.emitFile({type: 'asset', fileName: 'package.json',
+                     source: '{"type": "module"}\n'});
     },
   };
 }
@@ -51,7 +62,7 @@ function licences(): Plugin {
 export default defineConfig(({isSsrBuild}) => ({
   root: isSsrBuild ? '.' : 'web',
   esbuild: {jsx: 'automatic', jsxImportSource: 'preact'},
-  plugins: isSsrBuild ? [licences()] : [licences(), compressed()],
+  plugins: isSsrBuild ? [licences(), asModule()] : [licences(), compressed()],
   ssr: {noExternal: true},
   build: {
     outDir: isSsrBuild ? 'dist/server' : '../dist/web',

@@ -1,7 +1,7 @@
 import {Code, ConnectError, type Transport} from '@connectrpc/connect';
 
-import {errorInfoOf} from './error_info.js';
-import {isAway, type Watch} from './watch.js';
+import {errorInfoOf, isAway} from './error_info.js';
+import type {Watch} from './watch.js';
 
 /** A server, and whether it is there. */
 export interface Server {

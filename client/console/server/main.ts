@@ -127,7 +127,9 @@ async function serve(options: Options): Promise<void> {
   server.on('clientError', answerUnreadable);
   const address = await listen(server, options.listen);
   const base = options.publicUrl ?? new URL(`http://${nameOf(address)}`);
-  hosts.add(nameOf(address)).add(`localhost:${address.port}`);
+  for (const host of [address.host, '127.0.0.1', 'localhost']) {
+    hosts.add(nameOf({host, port: address.port}));
+  }
   gateway = gatewayOf(options, cluster, base, hosts, log, telemetry);
   if (options.adminListen) {
     const admin = await listen(
@@ -148,10 +150,10 @@ function fail(error: unknown): never {
 
 try {
   const options = readOptions(process.argv.slice(2), process.env);
-  if (options) {
-    serve(options).catch(fail);
+  if (typeof options === 'string') {
+    process.stdout.write(options);
   } else {
-    process.stdout.write(USAGE);
+    serve(options).catch(fail);
   }
 } catch (error) {
   fail(error);

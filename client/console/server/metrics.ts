@@ -4,8 +4,8 @@ import {type Client, Code, ConnectError, createClient, type Transport} from
     '@connectrpc/connect';
 
 import {PoseGraphService} from '../gen/revisit/v1/pose_graph_service_pb.js';
+import {isAway} from './error_info.js';
 import {type MetricsPage, Scraper, type ServerMetrics} from './scrape.js';
-import {isAway} from './watch.js';
 
 /** The answer to the page's question. */
 export interface MetricsAnswer {

@@ -3,15 +3,22 @@ import {parseArgs} from 'node:util';
 
 import {LOG_FORMATS, LOG_LEVELS, type LogFormat, type LogLevel} from './log.js';
 import type {MetricsPage} from './scrape.js';
+import {version} from '../package.json';
 import {CALLBACK_PATH} from '../shared/addresses.js';
 
 export const USAGE = `\
-usage: main.js [--listen ADDRESS:PORT] [--server ADDRESS:PORT]...
-               [--tls-ca FILE] [--metrics [NAME=]URL]... [--base-map FILE]
-               [--host NAME]... [--public-url URL] [--insecure-allow-remote]
-               [--oidc-issuer URL --oidc-client-id ID [--oidc-OPTION VALUE]...]
-               [--admin-listen ADDRESS:PORT] [--log-format text|json]
-               [--log-level LEVEL] [--config FILE]
+usage: revisit-console [--listen ADDRESS:PORT] [--server ADDRESS:PORT]...
+                       [--tls-ca FILE] [--max-metadata-bytes N]
+                       [--metrics [NAME=]URL]... [--base-map FILE]
+                       [--host NAME]... [--public-url URL]
+                       [--insecure-allow-remote]
+                       [--oidc-issuer URL --oidc-client-id ID
+                        [--oidc-client-secret-file FILE]
+                        [--oidc-scopes SCOPES] [--oidc-resource URI]
+                        [--oidc-token access|id]]
+                       [--admin-listen ADDRESS:PORT]
+                       [--log-format text|json] [--log-level LEVEL]
+                       [--config FILE]
 
 Serves the console of revisit and passes its calls on to a revisitd.
 
@@ -60,9 +67,13 @@ Serves the console of revisit and passes its calls on to a revisitd.
                           level of the least severe events that are logged
                           (info)
   --config FILE           options in lines KEY = "VALUE", without the dashes; a
-                          key of a list may be given again. Command line and
-                          environment count before it
+                          key of a list may be given again
+  --version               the version
   --help                  this text
+
+Each option is a variable of the environment too, such as REVISIT_CONSOLE_LISTEN
+(of a list, with spaces between), with on and off for those without a value.
+The command line counts before variables, and those before the file.
 `;
 
 const SERVER_NAME = /^[A-Za-z0-9][A-Za-z0-9._-]{0,62}$/;
@@ -138,11 +149,16 @@ const FLAGS = {
   'log-format': {type: 'string'},
   'log-level': {type: 'string'},
   'config': {type: 'string'},
+  'version': {type: 'boolean'},
   'help': {type: 'boolean', short: 'h'},
 } as const;
 
-/** Flags that have a variable of the environment. */
-const VARIABLES: Record<string, string> = {
+/** Flags that have no place in a file. */
+const NOT_IN_FILE = new Set(['config', 'help', 'version']);
+
+/** Variables without the word CONSOLE, since revisit itself has them or because
+ * they are older. */
+const SHARED_VARIABLES: Record<string, string> = {
   'server': 'REVISIT_SERVER',
   'tls-ca': 'REVISIT_TLS_CA',
   'metrics': 'REVISIT_METRICS',
@@ -159,32 +175,43 @@ function parse(args: string[]) {
 
 type Values = ReturnType<typeof parse>;
 
-/** The command line that says what a file of options says. */
+/** The command line that says the same; `where` begins a complaint. */
+function argsOf(key: string, value: string, where: string): string[] {
+  if (FLAGS[key as keyof typeof FLAGS].type === 'string') {
+    return [`--${key}=${value}`];
+  }
+  if (value !== 'on' && value !== 'off') {
+    throw new UsageError(`${where}: ${key} is on or off`);
+  }
+  return value === 'on' ? [`--${key}`] : [];
+}
+
 function argsOfFile(path: string): string[] {
   return readFileSync(path, 'utf8').split('\n').flatMap((line, i) => {
     if (/^\s*(#|$)/.test(line)) return [];
     const found = /^\s*([a-z-]+)\s*=\s*(?:"([^"]*)"|([^\s"#]+))\s*(?:#.*)?$/
         .exec(line);
     const [, key, quoted, bare] = found ?? [];
-    const value = quoted ?? bare;
-    if (!found || !(key in FLAGS) || key === 'config' || key === 'help') {
-      throw new UsageError(`${path}:${i + 1}: '${line}' is no option as in ` +
+    const where = `${path}:${i + 1}`;
+    if (!found || !(key in FLAGS) || NOT_IN_FILE.has(key)) {
+      throw new UsageError(`${where}: '${line}' is no option as in ` +
                            'listen = "127.0.0.1:8080"');
     }
-    if (FLAGS[key as keyof typeof FLAGS].type === 'string') {
-      return [`--${key}=${value}`];
-    }
-    if (value !== 'on' && value !== 'off') {
-      throw new UsageError(`${path}:${i + 1}: ${key} is on or off`);
-    }
-    return value === 'on' ? [`--${key}`] : [];
+    return argsOf(key, quoted ?? bare, where);
   });
 }
 
 function argsOfEnvironment(environment: NodeJS.ProcessEnv): string[] {
-  return Object.entries(VARIABLES).flatMap(
-      ([flag, name]) => environment[name] ? [`--${flag}=${environment[name]}`] :
-                                            []);
+  return Object.entries(FLAGS).flatMap(([key, flag]) => {
+    if (NOT_IN_FILE.has(key)) return [];
+    const own = `REVISIT_CONSOLE_${key.toUpperCase().replaceAll('-', '_')}`;
+    const name = environment[own] ? own : SHARED_VARIABLES[key] ?? own;
+    const value = environment[name];
+    if (!value) return [];
+    const values = 'multiple' in flag && name === own ? value.split(/\s+/) :
+                                                        [value];
+    return values.flatMap(one => argsOf(key, one, name));
+  });
 }
 
 function splitAddress(flag: string, value: string): Address {
@@ -325,11 +352,12 @@ function listenOf(values: Values): Address {
   return listen;
 }
 
-/** Returns undefined if help was asked for. */
+/** Returns a text if that was asked for. */
 export function readOptions(args: string[], environment: NodeJS.ProcessEnv):
-    Options | undefined {
+    Options|string {
   const given = parse(args);
-  if (given.help) return undefined;
+  if (given.help) return USAGE;
+  if (given.version) return `revisit-console ${version}\n`;
   const values: Values = {
     ...given.config === undefined ? {} : parse(argsOfFile(given.config)),
     ...parse(argsOfEnvironment(environment)),

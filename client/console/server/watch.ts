@@ -4,19 +4,12 @@ import {Code, ConnectError, createClient, type Transport} from
     '@connectrpc/connect';
 
 import {Health} from '../gen/grpc/health/v1/health_pb.js';
+import {isAway} from './error_info.js';
 import type {Log} from './log.js';
 import type {Telemetry} from './telemetry.js';
 
 const INTERVAL_MILLISECONDS = 1000;
 const DEADLINE_MILLISECONDS = 2000;
-/** The codes with which nobody answers, but the way there. */
-const AWAY = new Set([Code.Unavailable, Code.DeadlineExceeded, Code.Canceled]);
-
-/** Whether this error says that the server was not reached. */
-export function isAway(error: unknown): boolean {
-  return AWAY.has(ConnectError.from(error).code);
-}
-
 interface Absence {
   since: Date;
   message: string;
