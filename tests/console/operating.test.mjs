@@ -1,38 +1,29 @@
 // The console as those see it who run it: probes, metrics, log, limits.
 import assert from 'node:assert/strict';
-import {mkdtempSync, readFileSync, rmSync} from 'node:fs';
-import {connect} from 'node:net';
+import {readFileSync} from 'node:fs';
 import {get} from 'node:http';
-import {tmpdir} from 'node:os';
-import {join} from 'node:path';
+import {connect} from 'node:net';
 import {after, before, test} from 'node:test';
 import {setTimeout as sleep} from 'node:timers/promises';
 
-import {Console, DRIVE, Revisitd, until} from './world.mjs';
+import {DRIVE, until, World} from './world.mjs';
 
 const SERVICE = 'revisit.v1.PoseGraphService';
 
-let directory;
+let world;
 let revisitd;
 let gateway;
 
 before(async () => {
-  directory = mkdtempSync(join(tmpdir(), 'revisit-console-'));
-  revisitd = new Revisitd(directory, ['--max-metadata-bytes', '8192',
-                                      '--log-format', 'json']);
-  await revisitd.start();
+  world = await World.make(
+      ['--max-metadata-bytes', '8192', '--log-format', 'json'],
+      ({revisitd: server}) => ['--admin-listen', '127.0.0.1:0', '--log-format',
+                               'json', '--metrics', server.metrics]);
+  ({revisitd, console: gateway} = world);
   revisitd.cli('stream', DRIVE, '--create', '--vehicle', 'shuttle-7',
                '--uncertainty', 'file');
-  gateway = new Console(() => revisitd.address,
-                         ['--admin-listen', '127.0.0.1:0', '--log-format',
-                          'json', '--metrics', revisitd.metrics]);
-  await gateway.start();
 });
-after(async () => {
-  await gateway?.close();
-  await revisitd?.close();
-  rmSync(directory, {recursive: true, force: true});
-});
+after(() => world?.close());
 
 /** Status, headers and text of the answer to a call through the console. */
 async function call(method, request = {}, headers = {}) {
@@ -110,6 +101,24 @@ test('a revisitd that stands still is noticed within three seconds',
   }
   await until(async () => (await call('ListVehicles')).status === 200,
               'answer of a server that goes on');
+});
+
+test('people see that revisitd stands still, and that it goes on', async () => {
+  const page = await world.open('/');
+  await page.getByText('1 of 1 vehicles').waitFor();
+  const banner = page.getByText('No answer from revisitd since');
+  revisitd.signal('SIGSTOP');
+  try {
+    const began = performance.now();
+    await banner.waitFor();
+    // Three seconds, and the time until the page asks.
+    const waited = performance.now() - began;
+    assert.ok(waited < 6000, `${waited} ms`);
+  } finally {
+    revisitd.signal('SIGCONT');
+  }
+  await banner.waitFor({state: 'detached'});
+  await page.context().close();
 });
 
 test('calls and requests are counted by code', async () => {
