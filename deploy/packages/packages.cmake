@@ -3,6 +3,8 @@
 # makes revisit, revisit-server and librevisit-dev in build/release/packages, and
 # with REVISIT_CONSOLE revisit-console.
 
+include(GNUInstallDirs)
+
 set(packages ${CMAKE_CURRENT_LIST_DIR})
 
 # Files that only a package installs, to where the system looks for them.
@@ -152,8 +154,9 @@ set(CPACK_DEBIAN_CONSOLE_DESCRIPTION
 "loop-closure candidates for vehicles - console
 ${about}
 .
-This package has the console: pages in the browser that show what a server holds,
-and let people decide about candidates. Its systemd service listens on the
-loopback, for a server there, until /etc/revisit/console.conf says otherwise.")
+This package has the console: pages in the browser that show what a server
+holds, and let people decide about candidates. Its systemd service listens on
+the loopback, for a server there, until /etc/revisit/console.conf says
+otherwise.")
 
 include(CPack)

@@ -131,20 +131,20 @@ export class Gateway {
   /** Answers what depends on who asks. */
   private async answerCaller(record: RequestRecord, request: IncomingMessage,
                              response: ServerResponse): Promise<void> {
-    const bytes = metadataBytes(request);
-    if (bytes > this.maxMetadataBytes) {
-      this.refuse(record, response, 431, 'resource_exhausted',
-                  `the call's headers have ${bytes} bytes for revisitd; ` +
-                  `allowed are ${this.maxMetadataBytes} ` +
-                  '(--max-metadata-bytes)');
-      return;
-    }
     try {
       await this.parts.signIn?.authorize(request);
     } catch (error) {
       this.refuse(record, response, 503, 'unavailable',
                   `the issuer cannot be asked to renew the sign-in: ${
                       reasonOf(error)}`);
+      return;
+    }
+    const bytes = metadataBytes(request);
+    if (bytes > this.maxMetadataBytes) {
+      this.refuse(record, response, 431, 'resource_exhausted',
+                  `the call's headers have ${bytes} bytes for revisitd; ` +
+                  `allowed are ${this.maxMetadataBytes} ` +
+                  '(--max-metadata-bytes)');
       return;
     }
     if (LARGE_ANSWERS.test(record.path)) {

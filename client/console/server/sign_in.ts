@@ -13,6 +13,7 @@ import type {Telemetry} from './telemetry.js';
 const SESSION_COOKIE = 'revisit-session';
 const ATTEMPT_COOKIE = 'revisit-sign-in';
 const ATTEMPT_SECONDS = 600;
+const MOST_VIEW_BYTES = 1000;
 
 /** What the page is told about who uses it. */
 export interface SessionAnswer {
@@ -28,9 +29,10 @@ interface Pending extends Attempt {
   begun: number;
 }
 
-/** A view of this console, so that nobody is led elsewhere. */
+/** A view of this console, so that nobody is led elsewhere, with an address that
+ * fits in a cookie. */
 function viewIn(text: string|null): string {
-  if (text === null || !text.startsWith('/')) return '/';
+  if (!text?.startsWith('/') || text.length > MOST_VIEW_BYTES) return '/';
   const path = text.split(/[?#]/)[0];
   return routeOf(path).view === 'none' ? '/' : text;
 }

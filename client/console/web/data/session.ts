@@ -1,5 +1,5 @@
 // Who is signed in at the issuer, where the console knows one.
-import {effect, signal} from '@preact/signals';
+import {computed, effect, signal} from '@preact/signals';
 
 import {SESSION_PATH, SIGN_IN_PATH, SIGN_OUT_PATH} from
     '../../shared/addresses.js';
@@ -34,11 +34,13 @@ async function ask(): Promise<void> {
 }
 
 let known = false;
+const isRefused =
+    computed(() => connection.value.state === 'unauthenticated');
 
-// Asked at first, and again whenever a call is refused: the session may be over.
+// Asked at first, and again when calls begin to be refused: the session may be
+// over. A page that is being left gets no answer.
 effect(() => {
-  const isRefused = connection.value.state === 'unauthenticated';
-  if (!consoleSettings.value?.signIn || (known && !isRefused)) return;
+  if (!consoleSettings.value?.signIn || (known && !isRefused.value)) return;
   known = true;
-  ask().catch((error: unknown) => console.error(error));
+  ask().catch(() => {});
 });
