@@ -38,7 +38,10 @@ add_custom_command(
   COMMAND ${CMAKE_COMMAND} -E make_directory ${usage}/man
   COMMAND revisit man-pages ${usage}/man
   ${completion}
-  COMMAND ${CMAKE_COMMAND} -D PROGRAM=$<TARGET_FILE:revisitd>
+  COMMAND ${CMAKE_COMMAND} -D NAME=revisitd
+          -D "ABOUT=keeps pose graphs and answers loop-closure candidates"
+          -D "SYNOPSIS=[OPTIONS] [SUBCOMMAND]"
+          -D PROGRAM=$<TARGET_FILE:revisitd>
           -D OUTPUT=${usage}/man/revisitd.1
           -P ${PROJECT_SOURCE_DIR}/server/settings/write_man_page.cmake
   DEPENDS revisit revisitd

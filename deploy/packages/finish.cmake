@@ -26,10 +26,11 @@ foreach(component IN LISTS CPACK_COMPONENTS_ALL)
   execute_process(COMMAND gzip -9nf ${compressed} COMMAND_ERROR_IS_FATAL ANY)
 endforeach()
 
-set(client ${CPACK_TEMPORARY_INSTALL_DIRECTORY}/client/usr/bin/revisit)
-set(server ${CPACK_TEMPORARY_INSTALL_DIRECTORY}/server/usr/bin/revisitd)
+set(programs
+    ${CPACK_TEMPORARY_INSTALL_DIRECTORY}/client/usr/bin/revisit
+    ${CPACK_TEMPORARY_INSTALL_DIRECTORY}/server/usr/bin/revisitd)
 execute_process(COMMAND strip --remove-section=.comment --remove-section=.note
-                        ${client} ${server} COMMAND_ERROR_IS_FATAL ANY)
+                        ${programs} COMMAND_ERROR_IS_FATAL ANY)
 file(GLOB_RECURSE libraries ${CPACK_TEMPORARY_INSTALL_DIRECTORY}/dev/*.a)
 execute_process(COMMAND strip --strip-debug --remove-section=.comment
                         --remove-section=.note --enable-deterministic-archives

@@ -1,6 +1,9 @@
 # Debian packages of an installation (client/install.cmake):
 #   cpack --config build/release/CPackConfig.cmake
-# makes revisit, revisit-server and librevisit-dev in build/release/packages.
+# makes revisit, revisit-server and librevisit-dev in build/release/packages, and
+# with REVISIT_CONSOLE revisit-console.
+
+include(GNUInstallDirs)
 
 set(packages ${CMAKE_CURRENT_LIST_DIR})
 
@@ -10,12 +13,45 @@ install(FILES ${packages}/revisitd.conf DESTINATION /etc/revisit
 install(FILES ${packages}/revisitd.service DESTINATION /lib/systemd/system
         COMPONENT server EXCLUDE_FROM_ALL)
 
+# The console's program and pages hold all that they need but Node.js.
+option(REVISIT_CONSOLE
+       "Package the console, which `deploy/console --build-only` has built" OFF)
+if(REVISIT_CONSOLE)
+  set(console ${PROJECT_SOURCE_DIR}/client/console/dist)
+  if(NOT EXISTS ${console}/server/main.js)
+    message(FATAL_ERROR "REVISIT_CONSOLE: first deploy/console --build-only")
+  endif()
+  install(DIRECTORY ${console}/ DESTINATION ${CMAKE_INSTALL_DATADIR}/revisit/console
+          COMPONENT console EXCLUDE_FROM_ALL)
+  install(PROGRAMS ${packages}/revisit-console DESTINATION ${CMAKE_INSTALL_BINDIR}
+          COMPONENT console EXCLUDE_FROM_ALL)
+  install(FILES ${packages}/console.conf DESTINATION /etc/revisit
+          COMPONENT console EXCLUDE_FROM_ALL)
+  install(FILES ${packages}/revisit-console.service DESTINATION /lib/systemd/system
+          COMPONENT console EXCLUDE_FROM_ALL)
+  find_program(REVISIT_NODE NAMES node nodejs REQUIRED)
+  execute_process(
+    COMMAND ${CMAKE_COMMAND} -D NAME=revisit-console
+            -D "ABOUT=shows in a browser what a revisitd holds"
+            -D "SYNOPSIS=[OPTIONS]"
+            -D "PROGRAM=${REVISIT_NODE};${console}/server/main.js"
+            -D OUTPUT=${PROJECT_BINARY_DIR}/packages/man/revisit-console.1
+            -P ${PROJECT_SOURCE_DIR}/server/settings/write_man_page.cmake
+    COMMAND_ERROR_IS_FATAL ANY)
+  install(FILES ${PROJECT_BINARY_DIR}/packages/man/revisit-console.1
+          DESTINATION ${CMAKE_INSTALL_MANDIR}/man1
+          COMPONENT console EXCLUDE_FROM_ALL)
+endif()
+
 set(CPACK_GENERATOR DEB)
 set(CPACK_VERBATIM_VARIABLES ON)
 set(CPACK_PACKAGE_NAME revisit)
 set(CPACK_PACKAGE_DIRECTORY ${PROJECT_BINARY_DIR}/packages)
 set(CPACK_PACKAGING_INSTALL_PREFIX /usr)
 set(CPACK_COMPONENTS_ALL client server dev)
+if(REVISIT_CONSOLE)
+  list(APPEND CPACK_COMPONENTS_ALL console)
+endif()
 set(CPACK_COMPONENTS_GROUPING ONE_PER_GROUP)
 set(CPACK_DEB_COMPONENT_INSTALL ON)
 # Directories are 0755 whatever umask built them.
@@ -74,11 +110,27 @@ set(CPACK_DEBIAN_SERVER_PACKAGE_SECTION science)
 # procps has the kill of the service's reload.
 set(CPACK_DEBIAN_SERVER_PACKAGE_DEPENDS "adduser, procps")
 set(CPACK_DEBIAN_SERVER_PACKAGE_RECOMMENDS revisit)
-set(CPACK_DEBIAN_SERVER_PACKAGE_CONTROL_EXTRA
-    ${packages}/server/postinst ${packages}/server/prerm
-    ${packages}/server/postrm ${PROJECT_BINARY_DIR}/packages/conffiles)
-file(WRITE ${PROJECT_BINARY_DIR}/packages/conffiles
-     "/etc/revisit/revisitd.conf\n")
+# Writes the scripts of a package with a service, and the list of its settings, of
+# which there is one file. Its service runs as `user`; `at_purge` is a command.
+function(revisit_service component unit user settings at_purge)
+  set(REVISIT_UNIT ${unit})
+  set(REVISIT_USER ${user})
+  set(REVISIT_AT_PURGE ${at_purge})
+  set(made ${PROJECT_BINARY_DIR}/packages/${component})
+  foreach(script IN ITEMS postinst prerm postrm)
+    configure_file(${packages}/service/${script}.in ${made}/${script} @ONLY
+                   FILE_PERMISSIONS OWNER_READ OWNER_WRITE OWNER_EXECUTE
+                   GROUP_READ GROUP_EXECUTE WORLD_READ WORLD_EXECUTE)
+  endforeach()
+  file(WRITE ${made}/conffiles "${settings}\n")
+  string(TOUPPER ${component} upper)
+  set(CPACK_DEBIAN_${upper}_PACKAGE_CONTROL_EXTRA
+      ${made}/postinst ${made}/prerm ${made}/postrm ${made}/conffiles PARENT_SCOPE)
+endfunction()
+
+# The store goes, as the description says.
+revisit_service(server revisitd revisit /etc/revisit/revisitd.conf
+                "rm -rf /var/lib/revisit")
 set(CPACK_DEBIAN_SERVER_DESCRIPTION
 "loop-closure candidates for vehicles - server
 ${about}
@@ -98,5 +150,24 @@ ${about}
 This package has the client library, whose streams resume where they were cut,
 its headers, a CMake package, and the protos, from which gRPC generates clients
 in other languages.")
+
+set(CPACK_DEBIAN_CONSOLE_PACKAGE_NAME revisit-console)
+set(CPACK_DEBIAN_CONSOLE_PACKAGE_SECTION science)
+set(CPACK_DEBIAN_CONSOLE_PACKAGE_ARCHITECTURE all)
+set(CPACK_DEBIAN_CONSOLE_PACKAGE_SHLIBDEPS OFF)
+# As client/console/package.json has it.
+set(CPACK_DEBIAN_CONSOLE_PACKAGE_DEPENDS "adduser, nodejs (>= 18.14.1)")
+set(CPACK_DEBIAN_CONSOLE_PACKAGE_SUGGESTS revisit-server)
+# It keeps nothing that could be deleted.
+revisit_service(console revisit-console revisit-console /etc/revisit/console.conf
+                ":")
+set(CPACK_DEBIAN_CONSOLE_DESCRIPTION
+"loop-closure candidates for vehicles - console
+${about}
+.
+This package has the console: pages in the browser that show what a server
+holds, and let people decide about candidates. Its systemd service listens on
+the loopback, for a server there, until /etc/revisit/console.conf says
+otherwise.")
 
 include(CPack)

@@ -1,5 +1,6 @@
-# Writes the manual page of revisitd, which is its help as it stands:
-#   cmake -D PROGRAM=revisitd -D OUTPUT=revisitd.1 -P write_man_page.cmake
+# Writes the manual page of a program, which is its help as it stands:
+#   cmake -D NAME=revisitd -D ABOUT=SENTENCE -D SYNOPSIS=OPTIONS
+#     -D PROGRAM=COMMAND -D OUTPUT=revisitd.1 -P write_man_page.cmake
 foreach(flag IN ITEMS help version)
   execute_process(COMMAND ${PROGRAM} --${flag} OUTPUT_VARIABLE ${flag}
                   COMMAND_ERROR_IS_FATAL ANY)
@@ -13,11 +14,14 @@ string(REPLACE "\n." "\n\\&." help "${help}")
 string(REGEX REPLACE " *\n" "\n" help "${help}")
 string(REGEX MATCH "[0-9]+\\.[0-9]+\\.[0-9]+" number "${version}")
 string(REGEX MATCH "[0-9]+-[0-9]+-[0-9]+" date "${version}")
-file(WRITE ${OUTPUT} ".TH REVISITD 1 \"${date}\" \"revisit ${number}\" \"User Commands\"
+string(REPLACE "-" "\\-" name "${NAME}")
+string(REPLACE "-" "\\-" about "${ABOUT}")
+string(TOUPPER "${name}" title)
+file(WRITE ${OUTPUT} ".TH ${title} 1 \"${date}\" \"revisit ${number}\" \"User Commands\"
 .SH NAME
-revisitd \\- keeps pose graphs and answers loop\\-closure candidates
+${name} \\- ${about}
 .SH SYNOPSIS
-.B revisitd [OPTIONS] [SUBCOMMAND]
+.B ${name} ${SYNOPSIS}
 .SH DESCRIPTION
 .nf
 ${help}.fi

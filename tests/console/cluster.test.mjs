@@ -38,7 +38,7 @@ async function fakeCluster(addresses) {
   const connected = [];
   const cluster = new Cluster(addresses, address => {
     connected.push(address);
-    return address;
+    return {transport: address, watch: {check() {}, hear() {}}};
   });
   const made = [];
   const call = (vehicle, ...answers) => cluster.call(

@@ -2,6 +2,7 @@
 import assert from 'node:assert/strict';
 import {spawnSync} from 'node:child_process';
 import {mkdtempSync, rmSync, writeFileSync} from 'node:fs';
+import {get} from 'node:http';
 import {tmpdir} from 'node:os';
 import {join} from 'node:path';
 import {after, before, test} from 'node:test';
@@ -18,6 +19,15 @@ after(() => rmSync(directory, {recursive: true, force: true}));
 function start(...args) {
   return spawnSync('node', [join(ROOT, 'client/console/dist/server/main.js'),
                             ...args], {encoding: 'utf8', timeout: 30_000});
+}
+
+/** The status of an answer to a request for this host. */
+function statusUnder(port, host) {
+  return new Promise((done, fail) => get(
+      {port, host: '127.0.0.1', headers: {host}}, answer => {
+        answer.resume();
+        done(answer.statusCode);
+      }).on('error', fail));
 }
 
 test('wrong usage is refused with 64 and says what is allowed', () => {
@@ -41,6 +51,23 @@ test('wrong usage is refused with 64 and says what is allowed', () => {
       'a=http://127.0.0.1:2/metrics'], /--metrics calls both .* 'a'/],
     [['--metrics', 'http://127.0.0.1:1/x', '--metrics',
       'http://127.0.0.1:1/y'], /--metrics calls both .* '127\.0\.0\.1:1'/],
+    [['--max-metadata-bytes', '100'], /--max-metadata-bytes is '100'/],
+    [['--admin-listen', '9465'], /--admin-listen is '9465', not ADDRESS/],
+    [['--public-url', 'http://console.example'], /not an address of https/],
+    [['--public-url', 'https://console.example/a'], /the root of a host/],
+    [['--oidc-client-id', 'a'], /--oidc-client-id needs --oidc-issuer/],
+    [['--oidc-issuer', 'https://login.example'], /needs --oidc-client-id/],
+    [['--oidc-issuer', 'http://login.example', '--oidc-client-id', 'a'],
+     /--oidc-issuer is .*, not an address of https/],
+    [['--oidc-issuer', 'https://login.example', '--oidc-client-id', 'a',
+      '--oidc-scopes', 'profile'], /without openid/],
+    [['--oidc-issuer', 'https://login.example', '--oidc-client-id', 'a',
+      '--oidc-token', 'refresh'], /allowed are access, id/],
+    [['--oidc-issuer', 'https://login.example', '--oidc-client-id', 'a',
+      '--listen', '0.0.0.0:8080', '--insecure-allow-remote'],
+     /needs --public-url/],
+    [['--log-format', 'xml'], /allowed are text, json/],
+    [['--log-level', 'loud'], /allowed are debug, info/],
     [['--colour', 'red'], /colour/],
   ]) {
     const {status, stderr} = start(...args);
@@ -49,6 +76,36 @@ test('wrong usage is refused with 64 and says what is allowed', () => {
     assert.match(stderr, /usage:/);
   }
   assert.match(start('--help').stdout, /^usage:/);
+});
+
+test('options in a file count after those of the command line', async () => {
+  const file = join(directory, 'console.conf');
+  writeFileSync(file, '# A comment.\n\nlisten = "127.0.0.1:1"\n' +
+      'log-format = json  # And one more.\nhost = "a.example"\n' +
+      'host = "b.example"\ninsecure-allow-remote = off\n');
+  const console = new Console(() => '127.0.0.1:1', ['--config', file]);
+  await console.start();
+  try {
+    const {port} = new URL(console.url);
+    for (const [host, status] of [['a.example', 200], ['b.example', 200],
+                                  ['c.example', 403]]) {
+      assert.equal(await statusUnder(port, host), status, host);
+    }
+  } finally {
+    await console.close();
+  }
+  assert.match(console.log, /^\{"time":".*"event":"stopping"/m);
+});
+
+test('a line of a file that is no option is named', () => {
+  const file = join(directory, 'wrong.conf');
+  for (const line of ['colour = "red"', 'listen', 'config = "a"',
+                      'insecure-allow-remote = "yes"', 'listen = "a" b']) {
+    writeFileSync(file, `# First.\n${line}\n`);
+    const {status, stderr} = start('--config', file);
+    assert.equal(status, 64, line);
+    assert.match(stderr, /wrong\.conf:2: /);
+  }
 });
 
 test('a certificate authority that cannot be read is named', () => {
@@ -132,7 +189,7 @@ test('there is no base map unless one is given', async () => {
   try {
     assert.equal((await fetch(`${console.url}/base-map.pmtiles`)).status, 404);
     assert.deepEqual(await (await fetch(`${console.url}/console.json`)).json(),
-                     {metrics: false, baseMap: false});
+                     {metrics: false, baseMap: false, signIn: false});
   } finally {
     await console.close();
   }

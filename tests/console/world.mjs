@@ -93,6 +93,11 @@ export class Revisitd {
     this.metrics = `http://${this.admin}/metrics`;
   }
 
+  /** Has it stand still, with its connections open; 'SIGCONT' ends that. */
+  signal(name) {
+    this.child.kill(name);
+  }
+
   /** The crash: no clean-up of any kind. */
   kill() {
     return stop(this.child, 'SIGKILL');
@@ -139,14 +144,19 @@ export class Console {
         'node',
         [join(ROOT, 'client/console/dist/server/main.js'), '--listen',
          '127.0.0.1:0', '--server', this.address(), ...this.flags],
-        {stdio: ['ignore', 'pipe', 'inherit'], env: environment});
+        {stdio: ['ignore', 'pipe', 'pipe'], env: environment});
     let said = '';
     this.child.stdout.on('data', data => said += data);
+    /** What it has written to its log. */
+    this.log = '';
+    this.child.stderr.on('data', data => this.log += data);
     const found = await until(() => {
-      assert.ok(!ended(this.child), 'the console ended');
+      assert.ok(!ended(this.child), `the console ended: ${this.log}`);
       return /http:\/\/\S+:\d+/.exec(said);
     }, 'console that listens');
     this.url = found[0];
+    /** Its admin port, if the flags gave it one. */
+    this.admin = /admin listening on (\S+)/.exec(said)?.[1];
   }
 
   close() {

@@ -1,4 +1,4 @@
-"""The container image, started as an orchestrator starts it: as its user, without
+"""The container images, started as an orchestrator starts them: as their user, without
 rights, with a read-only root."""
 
 import contextlib
@@ -14,37 +14,44 @@ import pytest
 
 FILES = pathlib.Path(os.environ["REVISIT_IMAGE_FILES"])
 ROOT = pathlib.Path(os.environ["REVISIT_IMAGE_ROOT"])
+CONSOLE_ROOT = pathlib.Path(os.environ["REVISIT_CONSOLE_ROOT"])
 DRIVE = "/usr/share/revisit/demo/boreas_glen_shields.csv"
 
 START_SECONDS = 30
 
 
-@pytest.fixture(scope="module")
-def config():
-    """What the image says of itself."""
-    inspected = json.loads((FILES / "inspected.json").read_text())
+def said_by(image):
+    """What an image says of itself."""
+    inspected = json.loads((FILES / f"{image}.json").read_text())
     return inspected["Docker"]["config"]
 
 
-class Container:
-    """The image's program in a container with a volume for its store and no network
-    but its own loopback."""
+@pytest.fixture(scope="module")
+def config():
+    return said_by("revisit")
 
-    def __init__(self, config, volume):
+
+@pytest.fixture(scope="module")
+def console_config():
+    return said_by("revisit-console")
+
+
+class Container:
+    """An image's program in a container with no network but its own loopback."""
+
+    def __init__(self, config, root, directory, program, greeting, variables,
+                 options=()):
+        """`program` says its `greeting` once it serves; its log goes to
+        `directory`."""
         self.user, self.group = config["User"].split(":")
         self.environment = {
-            **dict(entry.split("=", 1) for entry in config["Env"]),
-            # Nobody else reaches its loopback.
-            "REVISIT_INSECURE_ALLOW_REMOTE": "on"}
-        self.volume = volume
-        volume.mkdir(exist_ok=True)
-        os.chown(volume, int(self.user), int(self.group))
-        self.log = volume.with_name("log")
+            **dict(entry.split("=", 1) for entry in config["Env"]), **variables}
+        self.log = directory / "log"
         with open(self.log, "wb") as log:
             self.process = subprocess.Popen(
                 ["systemd-nspawn", "--quiet", "--register=no", "--keep-unit",
-                 "--directory", ROOT, "--read-only", "--tmpfs=/tmp",
-                 f"--bind={volume}:/var/lib/revisit", "--private-network",
+                 "--directory", root, "--read-only", "--tmpfs=/tmp", *options,
+                 "--private-network",
                  "--resolv-conf=off", "--timezone=off", "--link-journal=no",
                  "--as-pid2", "--console=pipe",
                  *(f"--setenv={name}={value}"
@@ -56,12 +63,12 @@ class Container:
                  *config["Entrypoint"]],
                 stdin=subprocess.DEVNULL, stdout=log, stderr=log)
         deadline = time.monotonic() + START_SECONDS
-        while "listening on" not in self.text():
+        while greeting not in self.text():
             assert self.process.poll() is None, self.text()
             assert time.monotonic() < deadline, self.text()
             time.sleep(0.05)
         [self.pid] = [int(line) for line in subprocess.run(
-            ["pgrep", "--uid", self.user, "--exact", "revisitd"],
+            ["pgrep", "--uid", self.user, "--exact", program],
             capture_output=True, text=True, check=True).stdout.split()]
 
     def text(self):
@@ -84,9 +91,30 @@ class Container:
         return self.process.wait(30)
 
 
+def start_server(config, directory):
+    """A server with a volume for its store."""
+    volume = directory / "store"
+    volume.mkdir(exist_ok=True)
+    os.chown(volume, *map(int, config["User"].split(":")))
+    return Container(
+        config, ROOT, directory, "revisitd", "listening on",
+        # Nobody else reaches its loopback.
+        {"REVISIT_INSECURE_ALLOW_REMOTE": "on"},
+        [f"--bind={volume}:/var/lib/revisit"])
+
+
 @pytest.fixture
 def container(config, tmp_path):
-    made = Container(config, tmp_path / "store")
+    made = start_server(config, tmp_path)
+    yield made
+    made.stop()
+
+
+@pytest.fixture
+def console(console_config, tmp_path):
+    made = Container(
+        console_config, CONSOLE_ROOT, tmp_path, "node", "The console is at",
+        {"REVISIT_CONSOLE_INSECURE_ALLOW_REMOTE": "on"})
     yield made
     made.stop()
 
@@ -98,14 +126,14 @@ def test_image_names_a_user_by_number_who_is_not_root(config):
 
 
 def test_container_keeps_poses_over_a_restart(config, tmp_path):
-    first = Container(config, tmp_path / "store")
+    first = start_server(config, tmp_path)
     streamed = first.run("/usr/bin/revisit", "stream", DRIVE, "--uncertainty",
                          "file", "--vehicle", "shuttle-7", "--create")
     assert streamed.returncode == 0, streamed.stderr
     assert first.stop() == 0
     assert '"event":"stopped"' in first.text()
 
-    second = Container(config, tmp_path / "store")
+    second = start_server(config, tmp_path)
     found = second.run("/usr/bin/revisit", "vehicle", "get", "shuttle-7")
     assert second.stop() == 0
     assert re.search(r"^durable poses +2076$", found.stdout, re.MULTILINE)
@@ -139,6 +167,46 @@ def test_image_holds_nothing_to_build_with():
         assert not (ROOT / "usr/bin" / program).exists(), program
     assert not (ROOT / "src").exists()
     assert not list((ROOT / "tmp").iterdir())
+
+
+def test_console_serves_its_pages_without_rights_and_without_a_disk(
+        console_config, console):
+    assert re.fullmatch(r"[1-9]\d{3,}:[1-9]\d{3,}", console_config["User"])
+    assert list(console_config["ExposedPorts"]) == ["8080/tcp"]
+    status = pathlib.Path(f"/proc/{console.pid}/status").read_text()
+    fields = dict(re.findall(r"^(\w+):\s+(.*)$", status, re.MULTILINE))
+    assert fields["Uid"].split() == [console.user] * 4
+    assert fields["CapEff"] == fields["CapBnd"] == 16 * "0"
+    asked = console.run("/usr/bin/node", "--input-type=module", "--eval", """
+        const get = async url => {
+          const answer = await fetch(url);
+          return [answer.status, await answer.text()];
+        };
+        console.log(JSON.stringify([await get('http://127.0.0.1:8080/'),
+                                    await get('http://127.0.0.1:9465/readyz')]));
+        """)
+    assert asked.returncode == 0, asked.stderr
+    [status, page], [ready, why] = json.loads(asked.stdout)
+    assert status == 200 and "<title>" in page
+    # There is no server in its container.
+    assert ready == 503 and "no revisitd" in why
+    assert '"event":"server_away"' in console.text()
+
+
+def test_health_check_of_the_console_follows_it(console_config, console):
+    check = console_config["Healthcheck"]["Test"]
+    assert check[0] == "CMD"
+    healthy = console.run(*check[1:])
+    assert healthy.returncode == 0, healthy.stderr
+    assert console.stop() == 0
+    assert '"event":"stopping"' in console.text()
+
+
+def test_image_of_the_console_holds_nothing_to_build_with():
+    for program in ("npm", "c++", "protoc", "git"):
+        assert not (CONSOLE_ROOT / "usr/bin" / program).exists(), program
+    assert not (CONSOLE_ROOT / "src").exists()
+    assert not list(CONSOLE_ROOT.glob("usr/share/revisit/**/node_modules"))
 
 
 def test_bill_of_materials_has_every_package_of_the_image():

@@ -30,6 +30,11 @@ GUARDED = {"tls.existingSecret": "certificate", "tls.clientCaSecret": "vehicles"
            "policy.existingConfigMap": "policy",
            "policy.tokenIssuer": "https://login.example",
            "policy.tokenAudience": "revisit"}
+CONSOLE = {"console.enabled": "true"}
+SIGN_IN = {"console.tlsCaSecret": "ca", "console.oidc.clientId": "console",
+           "console.oidc.existingSecret": "client",
+           "console.oidc.resource": "https://revisit.example",
+           "console.publicUrl": "https://console.example"}
 WAYS = {
     "alone": OPEN,
     "alone, guarded": GUARDED,
@@ -48,6 +53,11 @@ WAYS = {
         "prometheusRule.enabled": "true",
         "prometheusRule.labels.release": "prometheus",
         "dashboard.enabled": "true"},
+    "alone, with a console": {**OPEN, **CONSOLE},
+    "alone, guarded, with a console": {**GUARDED, **CONSOLE, **SIGN_IN},
+    "cluster, with a console": {
+        **CLUSTER, **CONSOLE, "console.server": "envoy.maps.svc:50051",
+        "console.extraArgs[0]": "--max-metadata-bytes=16000"},
     "without a network policy": {**OPEN, "networkPolicy.enabled": "false"},
 }
 
@@ -238,6 +248,61 @@ def test_pods_are_restricted_as_kubernetes_calls_it(values):
             assert context["capabilities"] == {"drop": ["ALL"]}
 
 
+def console_args(values):
+    [container] = objects(values)["Deployment", "fleet-console"]["spec"][
+        "template"]["spec"]["containers"]
+    return container["args"]
+
+
+@pytest.mark.parametrize("values", [one for one in WAYS.values()
+                                    if "console.enabled" in one],
+                         ids=[name for name in WAYS if "console" in name])
+def test_console_takes_its_options(values, tmp_path):
+    """It starts with them, as far as their files are there."""
+    files = {"/etc/revisit/servers-ca/ca.crt": tmp_path / "ca.crt",
+             "/etc/revisit/client-secret/client-secret": tmp_path / "secret"}
+    for file in files.values():
+        file.write_text("")
+    args = []
+    for arg in console_args(values):
+        for place, file in files.items():
+            arg = arg.replace(place, str(file))
+        args.append(re.sub(r"0\.0\.0\.0:\d+$", "127.0.0.1:0", arg))
+    console = ROOT / "client/console/dist/server/main.js"
+    with subprocess.Popen(["node", console, *args], stdout=subprocess.PIPE,
+                          stderr=subprocess.PIPE, text=True) as process:
+        try:
+            assert "admin listening" in process.stdout.readline()
+            assert "The console is at" in process.stdout.readline()
+        finally:
+            process.terminate()
+
+
+def test_console_signs_people_in_at_the_issuer_of_the_policy():
+    args = console_args({**GUARDED, **CONSOLE, **SIGN_IN})
+    assert "--oidc-issuer=https://login.example" in args
+    assert "--public-url=https://console.example" in args
+    assert "--server=fleet.maps.svc:50051" in args
+    assert "--oidc-client-secret-file=/etc/revisit/client-secret/client-secret" \
+        in args
+
+
+def test_console_is_let_through_to_the_server():
+    values = {**OPEN, **CONSOLE,
+              "networkPolicy.clients[0].podSelector.matchLabels.role": "vehicle",
+              "networkPolicy.monitoring[0].podSelector.matchLabels.role": "scraper"}
+    made = objects(values)
+    labels = made["Deployment", "fleet-console"]["spec"]["template"]["metadata"][
+        "labels"].items()
+    for rule in made["NetworkPolicy", "fleet"]["spec"]["ingress"]:
+        assert [peer for peer in rule["from"]
+                if peer["podSelector"]["matchLabels"].items() <= labels], rule
+    # Without it nobody else is let in.
+    rules = objects({**values, "console.enabled": "false"})[
+        "NetworkPolicy", "fleet"]["spec"]["ingress"]
+    assert [len(rule["from"]) for rule in rules] == [1, 1]
+
+
 def documented(command):
     """The arguments of each such command of helm in docs/operate.md after the chart."""
     return [arguments.replace("--reuse-values", "").split() for arguments in re.findall(
@@ -259,12 +324,16 @@ def test_documented_commands_make_one_server_and_then_several():
     assert "Deployment" in upgraded and "StatefulSet" not in upgraded
 
 
-def test_user_of_the_pods_is_that_of_the_image():
-    [user] = re.findall(r"^USER (\d+):\1$", (
-        ROOT / "deploy/image/Containerfile").read_text(), re.MULTILINE)
-    [pod] = pods(OPEN)
-    assert str(pod["securityContext"]["runAsUser"]) == user
-    assert str(pod["securityContext"]["fsGroup"]) == user
+def test_users_of_the_pods_are_those_of_the_images():
+    made = pods({**OPEN, **CONSOLE})
+    assert {pod["containers"][0]["name"] for pod in made} == set(
+        images := {"revisitd": "Containerfile", "console": "Containerfile.console"})
+    for pod in made:
+        image = images[pod["containers"][0]["name"]]
+        [user] = re.findall(r"^USER (\d+):\1$", (
+            ROOT / "deploy/image" / image).read_text(), re.MULTILINE)
+        assert str(pod["securityContext"]["runAsUser"]) == user
+        assert str(pod["securityContext"]["fsGroup"]) == user
 
 
 def test_store_in_a_file_has_one_server_whose_node_may_be_drained():
@@ -313,7 +382,11 @@ def test_whoever_kills_a_server_waits_for_its_drain(values):
     ({**GUARDED, "tls.existingSecret": ""}, "tls.existingSecret"),
     ({"tls.existingSecret": "certificate", "policy.existingConfigMap": "policy"},
      "tls.clientCaSecret or policy.tokenIssuer"),
-], ids=["kind", "secret", "unguarded", "no certificate", "no callers"])
+    ({**CLUSTER, **CONSOLE}, "console.server"),
+    ({**GUARDED, **CONSOLE}, "console.tlsCaSecret"),
+    ({**OPEN, **CONSOLE, "console.oidc.clientId": "a"}, "console.oidc"),
+], ids=["kind", "secret", "unguarded", "no certificate", "no callers",
+        "console of several", "console without authority", "console's issuer"])
 def test_what_cannot_work_is_refused(values, problem):
     refused = helm("template", "fleet", CHART, "--kube-version", KUBERNETES[-1],
                    *flags(values))

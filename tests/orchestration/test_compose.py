@@ -52,10 +52,11 @@ def test_servers_have_the_addresses_that_envoy_and_prometheus_know(services):
             for name in SERVERS] == [f"{one}:50051" for one in addresses]
     listed = (COMPOSE / "servers.yaml").read_text()
     assert re.findall(r"address: ([\d.]+), port_value: 50051", listed) == addresses
-    [scraped] = yaml.safe_load(
-        (COMPOSE / "prometheus.yml").read_text())["scrape_configs"]
-    assert scraped["static_configs"][0]["targets"] == [
-        f"{name}:9464" for name in SERVERS]
+    scraped = {one["job_name"]: one["static_configs"][0]["targets"]
+               for one in yaml.safe_load((
+                   COMPOSE / "prometheus.yml").read_text())["scrape_configs"]}
+    assert scraped == {"revisit": [f"{name}:9464" for name in SERVERS],
+                       "revisit-console": ["console:9465"]}
 
 
 def test_only_envoy_is_reached_from_other_machines(services):
@@ -63,6 +64,7 @@ def test_only_envoy_is_reached_from_other_machines(services):
                  for port in service.get("ports", ())}
     assert published == {
         "envoy": {"published": 50051, "target": 50051},
+        "console": "127.0.0.1:8080:8080/tcp",
         "prometheus": "127.0.0.1:9090:9090/tcp",
         "grafana": "127.0.0.1:3000:3000/tcp"}
     assert not [name for name in [*SERVERS, "database", "migrate"]
@@ -92,7 +94,7 @@ def test_server_takes_its_settings(tree, tmp_path):
 
 
 @pytest.mark.parametrize(("name", "host"), [
-    ("edge", "localhost"), ("server", "revisitd"), ("envoy", "envoy")])
+    ("edge", "localhost"), ("edge", "envoy"), ("server", "revisitd"), ("envoy", "envoy")])
 def test_certificates_are_of_the_names_that_are_asked_for(name, host, tree):
     files = tree / "deploy/compose/files"
     said = subprocess.run(

@@ -22,7 +22,7 @@ import yaml
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 BIN = pathlib.Path(os.environ["REVISIT_BIN"])
 DRIVE = ROOT / "tests/data/boreas/boreas_glen_shields.csv"
-IMAGE = (ROOT / "deploy/image/Containerfile").read_text()
+CONSOLE = ROOT / "client/console/dist"
 SERVERS = [f"revisitd-{number}" for number in (1, 2, 3)]
 START_SECONDS = 60
 
@@ -40,6 +40,13 @@ def find(variable, pattern):
 ENVOY = find("REVISIT_TEST_ENVOY",
              "build/python/lib/python3*/site-packages/envoy/_bin/envoy")
 PROMETHEUS = find("REVISIT_TEST_PROMETHEUS", "build/tools/prometheus")
+
+
+def image_environment(file):
+    """Variables that an image sets for those who run it."""
+    text = (ROOT / "deploy/image" / file).read_text()
+    return dict(re.findall(r"(REVISIT_\w+)=(\S+)",
+                           text[text.index("\nENV REVISIT_"):]))
 
 
 def do(*command, **more):
@@ -127,7 +134,8 @@ class Container:
         yield f"mount --rbind /proc {root}/proc"
         yield f"mount --rbind /dev {root}/dev"
         for program in self._programs:
-            yield f"touch {root}/opt/{program.name}"
+            make = "mkdir -p" if program.is_dir() else "touch"
+            yield f"{make} {root}/opt/{program.name}"
             yield f"mount --bind {program} {root}/opt/{program.name}"
         for entry in self.service.get("tmpfs", ()):
             path, _, options = entry.partition(":")
@@ -177,16 +185,14 @@ class Compose:
             if isinstance(service["networks"], dict)
             and (service["networks"]["backend"] or {}).get("ipv4_address")
             else next(free) for name, service in services.items()}
-        # Variables that the image sets for those who run it.
-        self.image = dict(re.findall(
-            r"(REVISIT_\w+)=(\S+)", IMAGE[IMAGE.index("\nENV REVISIT_"):]))
 
     def start(self):
         self._start_database()
         ours = [BIN / "revisitd", BIN / "revisit"]
-        migrate = Container(self, "migrate", ours, self.image)
+        image = image_environment("Containerfile")
+        migrate = Container(self, "migrate", ours, image)
         do(*migrate.command("revisitd", *migrate.service["command"]))
-        self.servers = {name: Container(self, name, ours, self.image)
+        self.servers = {name: Container(self, name, ours, image)
                         for name in SERVERS}
         for name, server in self.servers.items():
             # They would give notice for five seconds, one after the other.
@@ -195,6 +201,10 @@ class Compose:
                 stop_signal=signal.SIGKILL)
         self.envoy = self._start("envoy", ENVOY, BIN / "revisit")
         self.prometheus = self._start("prometheus", PROMETHEUS)
+        self.console = Container(self, "console", [CONSOLE],
+                                 image_environment("Containerfile.console"))
+        self.processes.start("console", *self.console.command(
+            "node", f"/opt/{CONSOLE.name}/server/main.js"))
 
     def _start(self, name, *programs):
         """A service whose image's entry point takes the name of its program."""
@@ -256,6 +266,8 @@ def missing():
     for name, path in (("Envoy", ENVOY), ("Prometheus", PROMETHEUS)):
         if path is None or not os.access(path, os.X_OK):
             return f"there is no {name}: tests/run installs it"
+    if shutil.which("node") is None or not CONSOLE.exists():
+        return "there is no console: deploy/console --build-only makes it"
     if shutil.which("ip") is None:
         return "there is no program ip"
     tried = subprocess.run(
@@ -334,6 +346,20 @@ def test_all_servers_share_the_database(revisit, compose):
         assert f"{compose.addresses[server]}:50051" in text, text
 
 
+def test_console_shows_what_is_behind_envoy(revisit, compose):
+    """Asked where its port would be published."""
+    revisit("vehicle", "create", "looked-at")
+    said = do(*compose.console.command(
+        "python3", "-c", "import urllib.request as r; print(r.urlopen(r.Request("
+        "'http://127.0.0.1:8080/revisit.v1.PoseGraphService/ListVehicles', b'{}', "
+        "{'content-type': 'application/json'})).read().decode()); "
+        "print(r.urlopen('http://127.0.0.1:8080/metrics.json').read().decode())"))
+    vehicles, metrics = map(json.loads, said.strip().split("\n"))
+    assert "vehicles/looked-at" in [one["name"] for one in vehicles["vehicles"]]
+    assert [one["name"] for one in metrics["servers"]] == [
+        f"{server}:9464" for server in SERVERS]
+
+
 def test_prometheus_scrapes_every_server_by_its_name(compose):
     """Asks Prometheus as Grafana does."""
 
@@ -347,6 +373,7 @@ def test_prometheus_scrapes_every_server_by_its_name(compose):
             return None
         found = {result["metric"]["instance"]: result["value"][1]
                  for result in json.loads(said.stdout)["data"]["result"]}
-        return found == {f"{server}:9464": "1" for server in SERVERS}
+        return found == {**{f"{server}:9464": "1" for server in SERVERS},
+                         "console:9465": "1"}
 
     wait_until(up, "scrape of every server")

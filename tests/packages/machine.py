@@ -104,17 +104,18 @@ class Machine:
             "-o", "Dpkg::Options::=--force-confold",
             *(f"/root/{package.name}" for package in packages))
 
-    def show(self, key):
-        """What systemd says of the service."""
+    def show(self, key, unit="revisitd"):
+        """What systemd says of a service."""
         return self.run("systemctl", "show", "--property", key, "--value",
-                        "revisitd").strip()
+                        unit).strip()
 
-    def journal(self):
-        return self.run("journalctl", "--unit", "revisitd", "--output", "cat")
+    def journal(self, unit="revisitd"):
+        return self.run("journalctl", "--unit", unit, "--output", "cat")
 
-    def logged(self, text):
+    def logged(self, text, unit="revisitd"):
         """Waits for a text in the journal, which is written beside the service."""
-        wait_until(lambda: text in self.journal(), f"{text!r} in the journal")
+        wait_until(lambda: text in self.journal(unit),
+                   f"{text!r} in the journal")
 
     def close(self):
         if self._nspawn is not None and self._nspawn.poll() is None:

@@ -13,10 +13,13 @@ from machine import CannotBoot, Machine, wait_until
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 PACKAGES = pathlib.Path(os.environ["REVISIT_PACKAGES"])
-UNIT = ROOT / "deploy/packages/revisitd.service"
+UNITS = [ROOT / "deploy/packages" / name
+         for name in ("revisitd.service", "revisit-console.service")]
 DRIVE = "/usr/share/revisit/demo/boreas_glen_shields.csv"
 STORE = "/var/lib/revisit"
 SETTINGS = "/etc/revisit/revisitd.conf"
+CONSOLE = "revisit-console"
+CONSOLE_SETTINGS = "/etc/revisit/console.conf"
 
 
 def package(name):
@@ -43,6 +46,29 @@ def installed(machine):
     return machine
 
 
+def with_console(machine, **settings):
+    """The machine with all three, and these settings of the console besides."""
+    machine.install(*map(package, (*BOTH, CONSOLE)))
+    with open(machine.root / CONSOLE_SETTINGS[1:], "a") as file:
+        for name, value in settings.items():
+            file.write(f'{name.replace("_", "-")} = "{value}"\n')
+    machine.run("systemctl", "restart", CONSOLE, check=False)
+    return machine
+
+
+def fetched(machine, path, port=8080, body=None):
+    """Status and text of what the console answers in the machine."""
+    options = ("{}" if body is None else
+               "{method: 'POST', headers: {'content-type': 'application/json'}, "
+               f"body: '{body}'}}")
+    status, text = machine.run("node", "--input-type=module", "--eval", f"""
+        const answer = await fetch('http://127.0.0.1:{port}{path}', {options})
+            .catch(() => ({{status: 0, text: () => ''}}));
+        console.log(answer.status + ' ' + await answer.text());
+        """).split(" ", 1)
+    return int(status), text
+
+
 def stream(machine):
     return machine.run("revisit", "stream", DRIVE, "--uncertainty", "file",
                        "--vehicle", "shuttle-7", "--create")
@@ -63,11 +89,12 @@ def test_lintian_has_no_error_and_no_warning():
     assert (said.returncode, said.stdout) == (0, "")
 
 
-def test_service_exposes_little_of_the_system():
+@pytest.mark.parametrize("unit", UNITS, ids=lambda unit: unit.stem)
+def test_service_exposes_little_of_the_system(unit):
     said = subprocess.run(
         ["systemd-analyze", "security", "--no-pager", "--offline=true",
          # Tenths, of 0 to 10.
-         "--threshold=12", UNIT], capture_output=True, text=True, check=False)
+         "--threshold=12", unit], capture_output=True, text=True, check=False)
     assert said.returncode == 0, said.stdout + said.stderr
     print(said.stdout.splitlines()[-1])
 
@@ -151,6 +178,73 @@ def test_service_with_wrong_settings_is_not_started_again_and_again(machine):
     assert machine.show("NRestarts") == "0"
     machine.logged(f"{SETTINGS}:")
 
+
+# ---- The console
+
+def test_console_shows_the_server_on_its_machine(machine):
+    with_console(machine, admin_listen="127.0.0.1:9465")
+    wait_until(lambda: fetched(machine, "/readyz", 9465) == (200, "ok\n\n"),
+               "readiness")
+    assert machine.run("systemctl", "is-enabled", CONSOLE) == "enabled\n"
+    assert machine.run("systemd-analyze", "verify", "--man=no",
+                       f"{CONSOLE}.service") == ""
+    status, page = fetched(machine, "/")
+    assert status == 200 and "<title>" in page
+    machine.run("revisit", "vehicle", "create", "shuttle-7")
+    status, listed = fetched(
+        machine, "/revisit.v1.PoseGraphService/ListVehicles", body="{}")
+    assert status == 200 and "vehicles/shuttle-7" in listed
+    machine.logged("method=ListVehicles", CONSOLE)
+    machine.run("systemctl", "stop", "revisitd")
+    wait_until(lambda: fetched(machine, "/readyz", 9465)[0] == 503,
+               "end of readiness")
+    assert "revisit_console_server_up" in fetched(machine, "/metrics", 9465)[1]
+    assert machine.run("revisit-console", "--version").startswith(
+        "revisit-console ")
+
+
+def test_console_runs_without_rights(machine):
+    with_console(machine)
+    assert machine.show("ActiveState", CONSOLE) == "active"
+    pid = machine.show("MainPID", CONSOLE)
+    status = machine.run("cat", f"/proc/{pid}/status")
+    fields = dict(re.findall(r"^(\w+):\s+(.*)$", status, re.MULTILINE))
+    user = machine.run("id", "--user", CONSOLE).strip()
+    assert user != "0" and fields["Uid"].split() == [user] * 4
+    assert {fields[name] for name in ("CapEff", "CapPrm", "CapBnd")} == {
+        16 * "0"}
+    assert (fields["NoNewPrivs"], fields["Seccomp"]) == ("1", "2")
+
+
+def test_console_with_wrong_settings_is_not_started_again_and_again(machine):
+    with_console(machine, colour="red")
+    wait_until(lambda: machine.show("ActiveState", CONSOLE) == "failed", "failure")
+    assert machine.show("ExecMainStatus", CONSOLE) == "64"
+    assert machine.show("NRestarts", CONSOLE) == "0"
+    machine.logged(f"{CONSOLE_SETTINGS}:", CONSOLE)
+
+
+def test_console_tells_people_that_their_issuer_is_away(machine):
+    """With the packages that it uses for it, on the Node.js of the machine."""
+    with_console(machine, oidc_issuer="http://127.0.0.1:9", oidc_client_id="a")
+    wait_until(lambda: fetched(machine, "/console.json")[0] == 200, "console")
+    status, page = fetched(machine, "/sign-in")
+    assert status == 400 and "Not signed in" in page
+    # Fetch names no port that browsers block.
+    assert "bad port" in page or "ECONNREFUSED" in page, page
+
+
+def test_console_leaves_nothing_when_it_is_purged(machine):
+    with_console(machine)
+    machine.run("apt-get", "purge", "-y", CONSOLE)
+    left = machine.run("find", "/etc", "/lib/systemd", "/usr", "/var/lib",
+                       "-name", "*console*", "-path", "*revisit*", "-not",
+                       "-path", "/var/lib/apt/*")
+    assert left == ""
+    assert machine.show("ActiveState") == "active"
+
+
+# ---- Upgrade, removal
 
 def earlier(name, directory):
     """The package as an earlier version, with other settings, would be."""

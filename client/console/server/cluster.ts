@@ -1,6 +1,13 @@
 import {Code, ConnectError, type Transport} from '@connectrpc/connect';
 
-import {errorInfoOf} from './error_info.js';
+import {errorInfoOf, isAway} from './error_info.js';
+import type {Watch} from './watch.js';
+
+/** A server, and whether it is there. */
+export interface Server {
+  transport: Transport;
+  watch: Watch;
+}
 
 /** How often one call goes to another server than the last one. */
 const MOST_HOPS = 3;
@@ -12,6 +19,8 @@ const OWNER_HEADER = 'x-revisit-owner';
 export interface Route {
   transport: Transport;
   headers: Array<[string, string]>;
+  /** To be called at each part of an answer. */
+  heard: () => void;
 }
 
 function ownerSaidBy(error: unknown): string|undefined {
@@ -42,16 +51,16 @@ export function vehicleOf(request: object): string|undefined {
 export class Cluster {
   /** Address of the owner, by the vehicle's id; the eldest first. */
   private readonly owners = new Map<string, string>();
-  private readonly byAddress: Map<string, Transport>;
-  /** The ways to all servers that were given, the first one's first. */
-  readonly transports: readonly Transport[];
+  private readonly byAddress: Map<string, Server>;
+  /** All servers that were given, the first one first. */
+  readonly servers: readonly Server[];
 
   /** There is an address at least. */
   constructor(addresses: readonly string[],
-              connect: (address: string) => Transport) {
+              connect: (address: string) => Server) {
     this.byAddress =
         new Map(addresses.map(address => [address, connect(address)]));
-    this.transports = [...this.byAddress.values()];
+    this.servers = [...this.byAddress.values()];
   }
 
   /** Makes attempts of a call, which is about this vehicle, until one of them
@@ -61,9 +70,14 @@ export class Cluster {
     for (let hop = 0;; ++hop) {
       const asked = vehicle === undefined ? undefined :
                                             this.owners.get(vehicle);
+      const server = this.serverOf(asked);
       try {
-        return await attempt(this.routeTo(asked));
+        server.watch.check();
+        const answer = await attempt(this.routeTo(server, asked));
+        server.watch.hear();
+        return answer;
       } catch (error) {
+        if (!isAway(error)) server.watch.hear();
         if (vehicle === undefined) throw error;
         const owner = ownerSaidBy(error);
         if (owner !== undefined) {
@@ -79,14 +93,19 @@ export class Cluster {
     }
   }
 
-  private routeTo(owner: string|undefined): Route {
+  private serverOf(owner: string|undefined): Server {
     const direct = owner === undefined ? undefined :
                                          this.byAddress.get(owner);
-    if (direct) return {transport: direct, headers: []};
+    return direct ?? this.servers[0];
+  }
+
+  private routeTo({transport, watch}: Server, owner: string|undefined): Route {
+    const isDirect = owner === undefined || this.byAddress.has(owner);
     return {
-      transport: this.transports[0],
-      headers: owner === undefined ? [] :
+      transport,
+      headers: isDirect ? [] :
           [[OWNER_HEADER, Buffer.from(owner).toString('base64')]],
+      heard: () => watch.hear(),
     };
   }
 

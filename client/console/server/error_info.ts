@@ -1,5 +1,5 @@
 import {BinaryReader} from '@bufbuild/protobuf/wire';
-import {ConnectError} from '@connectrpc/connect';
+import {Code, ConnectError} from '@connectrpc/connect';
 
 /** The content of a google.rpc.ErrorInfo that is used here. */
 export interface ErrorInfo {
@@ -53,4 +53,13 @@ export function errorInfoOf(error: unknown): ErrorInfo|undefined {
     }
   }
   return undefined;
+}
+
+/** The codes of a server that does not answer. A connection that was reset is
+ * reported like a call that the caller gave up. */
+const AWAY = new Set([Code.Unavailable, Code.DeadlineExceeded, Code.Canceled]);
+
+/** Whether this error says that the server was not reached. */
+export function isAway(error: unknown): boolean {
+  return AWAY.has(ConnectError.from(error).code);
 }

@@ -1,5 +1,7 @@
-import type {DescMessage, DescMethodServerStreaming, DescMethodUnary,
-             MessageInitShape} from '@bufbuild/protobuf';
+import type {IncomingMessage} from 'node:http';
+
+import type {DescMessage, DescMethod, DescMethodServerStreaming,
+             DescMethodUnary, MessageInitShape} from '@bufbuild/protobuf';
 import {EmptySchema} from '@bufbuild/protobuf/wkt';
 import {Code, ConnectError, type ConnectRouter, type HandlerContext} from
     '@connectrpc/connect';
@@ -7,6 +9,8 @@ import {Code, ConnectError, type ConnectRouter, type HandlerContext} from
 import {Health} from '../gen/grpc/health/v1/health_pb.js';
 import {PoseGraphService} from '../gen/revisit/v1/pose_graph_service_pb.js';
 import {type Cluster, type Route, vehicleOf} from './cluster.js';
+import {nameOf, RECORD} from './record.js';
+import type {Telemetry} from './telemetry.js';
 
 // All that the page may call. Streams of poses, revisions, and what cannot be
 // undone are not among them, whatever the caller's token would allow.
@@ -20,13 +24,28 @@ const UNARY: DescMethodUnary[] = [
 ];
 const STREAMS: DescMethodServerStreaming[] = [calls.exportPoseGraph];
 
-const PASSED_ON = ['authorization', 'x-request-id'];
+/** Methods that leave revisitd as it is. */
+const READING = /^(Get|List|Find|Export|Check)/;
+
+/** What gRPC counts for a header beside its name and its value. */
+const HEADER_BYTES = 32;
+
+/** How many bytes of a caller's headers a call takes to revisitd. A call with
+ * more than revisitd allows ends the connection, and with it everybody's calls:
+ * whoever calls `forward` has to see to that. */
+export function metadataBytes({headers}: IncomingMessage): number {
+  return headers.authorization === undefined ? 0 : HEADER_BYTES +
+      'authorization'.length + Buffer.byteLength(headers.authorization);
+}
 
 function passedOn(context: HandlerContext, {headers: added}: Route): Headers {
   const headers = new Headers(added);
-  for (const name of PASSED_ON) {
-    const value = context.requestHeader.get(name);
-    if (value !== null) headers.set(name, value);
+  const authorization = context.requestHeader.get('authorization');
+  if (authorization !== null) headers.set('authorization', authorization);
+  const trace = context.values.get(RECORD)?.trace;
+  if (trace) {
+    headers.set('x-request-id', trace.requestId);
+    headers.set('traceparent', trace.traceParent);
   }
   return headers;
 }
@@ -48,19 +67,39 @@ async function* one<T>(message: T): AsyncIterable<T> {
   yield message;
 }
 
+/** Notes one call from its beginning on. Returns what notes its end. */
+function begin(telemetry: Telemetry, method: DescMethod,
+               context: HandlerContext): (error?: ConnectError) => void {
+  const began = performance.now();
+  const record = context.values.get(RECORD);
+  if (record) record.changes = !READING.test(method.name);
+  const streams = method.methodKind !== 'unary';
+  if (streams) telemetry.streamBegan();
+  return error => {
+    if (streams) telemetry.streamEnded();
+    telemetry.called(method.name, error ? nameOf(error.code) : 'OK',
+                     (performance.now() - began) / 1000);
+    record?.ended(error?.code, error?.rawMessage);
+  };
+}
+
 function forwardUnary<I extends DescMessage, O extends DescMessage>(
-    router: ConnectRouter, cluster: Cluster,
+    router: ConnectRouter, cluster: Cluster, telemetry: Telemetry,
     method: DescMethodUnary<I, O>): void {
   router.rpc(method, async (request, context) => {
+    const end = begin(telemetry, method, context);
     try {
       const answer = await cluster.call(
           vehicleOf(request),
           route => route.transport.unary(
               method, context.signal, context.timeoutMs(),
               passedOn(context, route), request as MessageInitShape<I>));
+      end();
       return answer.message as MessageInitShape<O>;
     } catch (error) {
-      throw answerTo(context, error);
+      const told = answerTo(context, error);
+      end(told);
+      throw told;
     }
   });
 }
@@ -68,30 +107,43 @@ function forwardUnary<I extends DescMessage, O extends DescMessage>(
 // Graphs have millions of nodes, so the parts of the answer are not decoded:
 // all that they hold is unknown to an empty message, which keeps it as bytes.
 function forwardStream(router: ConnectRouter, cluster: Cluster,
+                       telemetry: Telemetry,
                        decoded: DescMethodServerStreaming): void {
   const method = {...decoded, output: EmptySchema};
   router.rpc(method, async function*(request, context) {
+    const end = begin(telemetry, method, context);
+    let told: ConnectError|undefined =
+        new ConnectError('the caller went away', Code.Canceled);
     try {
       // An answer that begins comes from the owner.
-      const {first, rest} = await cluster.call(vehicleOf(request),
-                                               async route => {
+      const {first, rest, heard} = await cluster.call(vehicleOf(request),
+                                                      async route => {
         const answer = await route.transport.stream(
             method, context.signal, context.timeoutMs(),
             passedOn(context, route), one(request as never));
         const messages = answer.message[Symbol.asyncIterator]();
-        return {first: await messages.next(), rest: messages};
+        return {first: await messages.next(), rest: messages,
+                heard: route.heard};
       });
       for (let part = first; !part.done; part = await rest.next()) {
+        heard();
         yield part.value;
       }
+      told = undefined;
     } catch (error) {
-      throw answerTo(context, error);
+      told = answerTo(context, error);
+      throw told;
+    } finally {
+      end(told);
     }
   });
 }
 
 /** Makes the router answer each call with what the cluster answers. */
-export function forward(router: ConnectRouter, cluster: Cluster): void {
-  for (const method of UNARY) forwardUnary(router, cluster, method);
-  for (const method of STREAMS) forwardStream(router, cluster, method);
+export function forward(router: ConnectRouter, cluster: Cluster,
+                        telemetry: Telemetry): void {
+  for (const method of UNARY) forwardUnary(router, cluster, telemetry, method);
+  for (const method of STREAMS) {
+    forwardStream(router, cluster, telemetry, method);
+  }
 }

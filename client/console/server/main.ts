@@ -1,108 +1,160 @@
 import {readFileSync} from 'node:fs';
-import {createServer, type IncomingMessage, type ServerResponse} from
-    'node:http';
+import {createServer, type IncomingMessage, type Server as HttpServer,
+        type ServerResponse} from 'node:http';
 import type {AddressInfo} from 'node:net';
 import {fileURLToPath} from 'node:url';
 
-import {connectNodeAdapter, createGrpcTransport} from
-    '@connectrpc/connect-node';
+import {createContextValues} from '@connectrpc/connect';
+import {compressionGzip, connectNodeAdapter, createGrpcTransport,
+        Http2SessionManager} from '@connectrpc/connect-node';
 
-import {BASE_MAP_PATH, BaseMap} from './base_map.js';
-import {Cluster} from './cluster.js';
+import {makeAdmin} from './admin.js';
+import {BaseMap} from './base_map.js';
+import {Cluster, type Server} from './cluster.js';
 import {forward} from './forward.js';
+import {answerUnreadable, Gateway} from './gateway.js';
+import {Log} from './log.js';
 import {Metrics} from './metrics.js';
-import {type Options, readOptions, USAGE, UsageError} from './options.js';
-import {Pages, SECURITY_HEADERS} from './pages.js';
+import {type Address, type Options, readOptions, USAGE, UsageError} from
+    './options.js';
+import {Pages} from './pages.js';
+import {RECORD} from './record.js';
+import {SignIn} from './sign_in.js';
+import {Telemetry} from './telemetry.js';
+import {Watch} from './watch.js';
 
 const WRONG_USAGE = 64;
 const MAX_REQUEST_BYTES = 65536;
-
-/** Whether a request comes from the console's own page or from no browser.
- * The Host header is looked at so that no other site can reach a console on
- * the loopback under a name of its own (DNS rebinding). */
-function isOwn(request: IncomingMessage, hosts: Set<string>): boolean {
-  const site = request.headers['sec-fetch-site'];
-  // A link from elsewhere to a view is welcome; calls are made by POST.
-  const mayBeForeign = request.method === 'GET' || request.method === 'HEAD';
-  return hosts.has(request.headers.host ?? '') &&
-      (mayBeForeign || site === undefined || site === 'same-origin');
-}
+/** For the headers of a browser that are not passed on, cookies among them. */
+const OTHER_HEADER_BYTES = 16384;
+/** How long calls may go on after the console was told to stop. */
+const DRAIN_MILLISECONDS = 5000;
+/** The name of a bearer token's header, and what stands before the token. */
+const BEARER_BYTES = 32 + 'authorization'.length + 'Bearer '.length;
 
 /** The page asks for these to know which of its parts there are. */
 function settingsOf(options: Options): object {
   return {metrics: options.metrics.length > 0,
-          baseMap: options.baseMap !== undefined, links: options.links};
+          baseMap: options.baseMap !== undefined, links: options.links,
+          signIn: options.oidc !== undefined};
 }
 
-function serve(options: Options): void {
+/** Connects to all servers, and goes on looking whether they are there. */
+function clusterOf(options: Options, log: Log, telemetry: Telemetry): Cluster {
   const nodeOptions =
       options.tlsCa ? {ca: readFileSync(options.tlsCa)} : {};
-  const cluster = new Cluster(options.servers, address => createGrpcTransport({
-    baseUrl: `${options.tlsCa ? 'https' : 'http'}://${address}`,
-    nodeOptions,
-  }));
+  const connect = (address: string): Server => {
+    const baseUrl = `${options.tlsCa ? 'https' : 'http'}://${address}`;
+    const sessionManager = new Http2SessionManager(baseUrl, {}, nodeOptions);
+    const transport = createGrpcTransport({baseUrl, sessionManager});
+    const watch = new Watch(address, transport,
+                            reason => sessionManager.abort(reason), log,
+                            telemetry);
+    void watch.run();
+    return {transport, watch};
+  };
+  return new Cluster(options.servers, connect);
+}
+
+function nameOf({host, port}: Address): string {
+  return `${host.includes(':') ? `[${host}]` : host}:${port}`;
+}
+
+/** Listens, and returns the address with its port, once that is known. */
+function listen(server: HttpServer, {host, port}: Address): Promise<Address> {
+  return new Promise(done => {
+    server.on('error', error => {
+      console.error(`console: cannot listen: ${error.message}`);
+      process.exit(1);
+    });
+    server.listen(port, host, () => done(
+        {host, port: (server.address() as AddressInfo).port}));
+  });
+}
+
+function gatewayOf(options: Options, cluster: Cluster, base: URL,
+                   hosts: Set<string>, log: Log, telemetry: Telemetry):
+    Gateway {
   const pages =
       new Pages(fileURLToPath(new URL('../web', import.meta.url)));
-  const metrics = new Metrics(options.metrics, cluster.transports);
-  const baseMap = options.baseMap === undefined ?
-      undefined : new BaseMap(options.baseMap);
   pages.add('/console.json', JSON.stringify(settingsOf(options)));
-  const answer = connectNodeAdapter({
-    routes: router => forward(router, cluster),
-    readMaxBytes: MAX_REQUEST_BYTES,
-    grpc: false,
-    grpcWeb: false,
-    fallback: (request, answered) => {
-      const response = answered as ServerResponse;
-      const path = (request.url ?? '/').split('?')[0];
-      if (path === '/metrics.json') {
-        void metrics.answer(request as IncomingMessage, response);
-      } else if (path === BASE_MAP_PATH && baseMap) {
-        baseMap.answer(request as IncomingMessage, response);
-      } else {
-        pages.answer(request as IncomingMessage, response);
-      }
-    },
-  });
-  const hosts = new Set(options.hosts);
-  const server = createServer((request, response) => {
-    for (const [name, value] of Object.entries(SECURITY_HEADERS)) {
-      response.setHeader(name, value);
-    }
-    if (isOwn(request, hosts)) {
-      answer(request, response);
-    } else {
-      response.writeHead(403, {'content-type': 'text/plain'});
-      response.end('The console does not answer under this name, or not to ' +
-                   'the page that asks; --host adds a name.\n');
-    }
-  });
-  server.on('error', error => {
-    console.error(`console: cannot listen: ${error.message}`);
-    process.exit(1);
-  });
-  server.listen(options.listenPort, options.listenHost, () => {
-    const {port} = server.address() as AddressInfo;
-    const host = options.listenHost.includes(':') ?
-        `[${options.listenHost}]` : options.listenHost;
-    hosts.add(`${host}:${port}`).add(`localhost:${port}`);
-    console.log(`The console is at http://${host}:${port}, its revisitd at ` +
-                options.servers.join(', '));
-  });
+  const gateway: Gateway = new Gateway({
+    pages,
+    metrics: new Metrics(options.metrics,
+                         cluster.servers.map(({transport}) => transport)),
+    baseMap: options.baseMap === undefined ? undefined :
+                                             new BaseMap(options.baseMap),
+    signIn: options.oidc && new SignIn(
+        options.oidc, base, options.maxMetadataBytes - BEARER_BYTES, log,
+        telemetry),
+    calls: connectNodeAdapter({
+      routes: router => forward(router, cluster, telemetry),
+      readMaxBytes: MAX_REQUEST_BYTES,
+      // Brotli is as slow here as it can be.
+      acceptCompression: [compressionGzip],
+      grpc: false,
+      grpcWeb: false,
+      contextValues: request => createContextValues().set(
+          RECORD, gateway.recordOf(request)),
+    }),
+  }, hosts, options.maxMetadataBytes, log, telemetry);
+  return gateway;
+}
+
+/** Lets calls end that are on, for a while. */
+function stopAtSignals(server: HttpServer, log: Log): void {
   for (const signal of ['SIGINT', 'SIGTERM'] as const) {
-    process.on(signal, () => process.exit(0));
+    process.once(signal, () => {
+      log.write('info', 'stopping', {signal});
+      server.close(() => process.exit(0));
+      server.closeIdleConnections();
+      setTimeout(() => process.exit(0), DRAIN_MILLISECONDS);
+    });
   }
+}
+
+async function serve(options: Options): Promise<void> {
+  const log = new Log(options.logFormat, options.logLevel);
+  const telemetry = new Telemetry();
+  const cluster = clusterOf(options, log, telemetry);
+  const hosts = new Set(options.hosts);
+  let gateway: Gateway|undefined;
+  const server = createServer({
+    maxHeaderSize: options.maxMetadataBytes + OTHER_HEADER_BYTES,
+  }, (request: IncomingMessage, response: ServerResponse) => {
+    void gateway!.answer(request, response);
+  });
+  server.on('clientError', answerUnreadable);
+  const address = await listen(server, options.listen);
+  const base = options.publicUrl ?? new URL(`http://${nameOf(address)}`);
+  for (const host of [address.host, '127.0.0.1', 'localhost']) {
+    hosts.add(nameOf({host, port: address.port}));
+  }
+  gateway = gatewayOf(options, cluster, base, hosts, log, telemetry);
+  if (options.adminListen) {
+    const admin = await listen(
+        makeAdmin(cluster.servers.map(({watch}) => watch), telemetry),
+        options.adminListen);
+    console.log(`admin listening on ${nameOf(admin)}`);
+  }
+  stopAtSignals(server, log);
+  console.log(`The console is at http://${nameOf(address)}, its revisitd at ` +
+              options.servers.join(', '));
+}
+
+function fail(error: unknown): never {
+  console.error(`console: ${(error as Error).message}`);
+  if (error instanceof UsageError) console.error(USAGE);
+  process.exit(error instanceof UsageError ? WRONG_USAGE : 1);
 }
 
 try {
   const options = readOptions(process.argv.slice(2), process.env);
-  if (options) {
-    serve(options);
+  if (typeof options === 'string') {
+    process.stdout.write(options);
   } else {
-    process.stdout.write(USAGE);
+    serve(options).catch(fail);
   }
 } catch (error) {
-  console.error(`console: ${(error as Error).message}`);
-  if (error instanceof UsageError) console.error(USAGE);
-  process.exit(error instanceof UsageError ? WRONG_USAGE : 1);
+  fail(error);
 }

@@ -4,6 +4,7 @@ import {type Client, Code, ConnectError, createClient, type Transport} from
     '@connectrpc/connect';
 
 import {PoseGraphService} from '../gen/revisit/v1/pose_graph_service_pb.js';
+import {isAway} from './error_info.js';
 import {type MetricsPage, Scraper, type ServerMetrics} from './scrape.js';
 
 /** The answer to the page's question. */
@@ -15,9 +16,6 @@ export interface MetricsAnswer {
 }
 
 const DEADLINE_MILLISECONDS = 2000;
-/** The codes of a server that does not answer. A connection that was reset is
- * reported like a call that the caller gave up. */
-const AWAY = new Set([Code.Unavailable, Code.DeadlineExceeded, Code.Canceled]);
 
 type Service = Client<typeof PoseGraphService>;
 
@@ -81,7 +79,7 @@ export class Metrics {
         });
         return overAllTenants;
       } catch (error) {
-        if (!AWAY.has(ConnectError.from(error).code)) throw error;
+        if (!isAway(error)) throw error;
         failure = error;
       }
     }

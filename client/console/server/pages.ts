@@ -1,4 +1,4 @@
-import {readdirSync, readFileSync} from 'node:fs';
+import {existsSync, readdirSync, readFileSync} from 'node:fs';
 import type {IncomingMessage, ServerResponse} from 'node:http';
 import {extname, join, relative, sep} from 'node:path';
 
@@ -25,21 +25,37 @@ export const SECURITY_HEADERS: Record<string, string> = {
   'x-content-type-options': 'nosniff',
 };
 
+/** Codings that browsers may take, the best first, with the ending of the file
+ * that the build leaves beside the one that it compresses. */
+const CODINGS = [['br', '.br'], ['gzip', '.gz']] as const;
+
 interface Page {
   body: Buffer;
   type: string;
   cache: string;
+  /** The body in other codings, by their names in HTTP. */
+  coded: Map<string, Buffer>;
+}
+
+/** Whether a header Accept-Encoding lets a coding in; no word on it does not. */
+function takes(accepted: string, coding: string): boolean {
+  return accepted.split(',').some(part => {
+    const [name, ...parameters] = part.split(';').map(text => text.trim());
+    return name.toLowerCase() === coding &&
+        !parameters.some(text => /^q=0(\.0*)?$/.test(text));
+  });
 }
 
 /** Answers with the files of a folder, which are read once, and with its
- * index.html at the addresses of views. */
+ * index.html at the addresses of views. They are the same for everybody and
+ * hold no secret, so that their compressed size tells nobody anything. */
 export class Pages {
   private readonly pages = new Map<string, Page>();
 
   constructor(folder: string) {
     for (const entry of readdirSync(folder, {withFileTypes: true,
                                              recursive: true})) {
-      if (!entry.isFile()) continue;
+      if (!entry.isFile() || /\.(br|gz)$/.test(entry.name)) continue;
       const path = join(entry.parentPath ?? entry.path, entry.name);
       const address = '/' + relative(folder, path).split(sep).join('/');
       this.pages.set(address, {
@@ -49,6 +65,10 @@ export class Pages {
         cache: address.startsWith('/assets/') ?
             'public, max-age=31536000, immutable' :
             'no-cache',
+        coded: new Map(CODINGS.flatMap(
+            ([coding, ending]): Array<[string, Buffer]> =>
+                existsSync(path + ending) ?
+                [[coding, readFileSync(path + ending)]] : [])),
       });
     }
     if (!this.pages.has('/index.html')) {
@@ -60,7 +80,7 @@ export class Pages {
   add(address: string, text: string): void {
     this.pages.set(address, {body: Buffer.from(text),
                              type: TYPES[extname(address)],
-                             cache: 'no-cache'});
+                             cache: 'no-cache', coded: new Map()});
   }
 
   answer(request: IncomingMessage, response: ServerResponse): void {
@@ -77,11 +97,17 @@ export class Pages {
       response.end();
       return;
     }
+    const accepted = String(request.headers['accept-encoding'] ?? '');
+    const [coding] = CODINGS.find(
+        ([name]) => page.coded.has(name) && takes(accepted, name)) ?? [];
+    const body = coding === undefined ? page.body : page.coded.get(coding)!;
     response.writeHead(200, {
       'content-type': page.type,
-      'content-length': page.body.length,
+      'content-length': body.length,
       'cache-control': page.cache,
+      ...page.coded.size === 0 ? {} : {'vary': 'accept-encoding'},
+      ...coding === undefined ? {} : {'content-encoding': coding},
     });
-    response.end(request.method === 'HEAD' ? undefined : page.body);
+    response.end(request.method === 'HEAD' ? undefined : body);
   }
 }

@@ -31,3 +31,14 @@ export function routeOf(path: string): Route {
       {view: 'candidate', vehicle, asked: Number(asked),
        matched: Number(matched)};
 }
+
+// Addresses of signing in, which are no views.
+
+/** Where signing in begins; the parameter `to` is the view to come back to. */
+export const SIGN_IN_PATH = '/sign-in';
+/** Where the issuer sends people back to. */
+export const CALLBACK_PATH = '/signed-in';
+/** Ends the sign-in, by POST. */
+export const SIGN_OUT_PATH = '/sign-out';
+/** Tells the page who is signed in. */
+export const SESSION_PATH = '/session.json';

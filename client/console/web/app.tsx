@@ -2,7 +2,10 @@ import type {JSX} from 'preact';
 import {useEffect, useRef} from 'preact/hooks';
 
 import {connection, signIn, token} from './data/client.js';
+import {consoleSettings} from './data/console.js';
+import {signInAddress, user} from './data/session.js';
 import {leaveVehicle} from './data/vehicle.js';
+import {IssuerSignIn} from './parts/sign_in.js';
 import {route} from './route.js';
 import {dark, switchTheme} from './theme.js';
 import {CandidateView} from './views/candidate.js';
@@ -23,7 +26,9 @@ function Banner() {
   if (now.state === 'unauthenticated') {
     return (
       <p class="banner" role="alert">
-        revisitd asks who you are: paste a token. <small>{now.message}</small>
+        revisitd asks who you are: {consoleSettings.value?.signIn ?
+          <a href={signInAddress()}>sign in</a> : 'paste a token'}.
+        {' '}<small>{now.message}</small>
       </p>
     );
   }
@@ -41,8 +46,9 @@ function SignIn() {
   };
   return (
     <details class="sign-in" ref={details}>
-      <summary>{token.value ? 'Signed in' : 'Sign in'}</summary>
+      <summary>{token.value || user.value ? 'Signed in' : 'Sign in'}</summary>
       <form onSubmit={submit}>
+        <IssuerSignIn />
         <label>
           Bearer token
           <input ref={field} type="password" autocomplete="off"

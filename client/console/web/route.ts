@@ -42,7 +42,7 @@ document.addEventListener('click', event => {
   const link = (event.target as Element).closest?.('a');
   if (!link || event.defaultPrevented || event.button !== 0 || event.ctrlKey ||
       event.metaKey || event.shiftKey || link.origin !== location.origin ||
-      link.hasAttribute('download') ||
+      link.hasAttribute('download') || routeOf(link.pathname).view === 'none' ||
       link.getAttribute('href')!.startsWith('#')) {
     return;
   }

@@ -10,6 +10,8 @@ export interface ConsoleSettings {
   baseMap: boolean;
   /** Links from a pair of poses to other programs. */
   links: LinkTemplate[];
+  /** Whether people can sign in at an issuer. */
+  signIn: boolean;
 }
 
 /** Undefined until the console has answered. */
