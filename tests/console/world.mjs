@@ -255,7 +255,7 @@ export async function pixels(page, property) {
 /** How many they are, where the one in the middle of them is, and the least and
  * greatest of their y. */
 export async function pixelsOf(page, property) {
-  const shot = await page.locator('.map .canvas').screenshot();
+  const shot = await page.locator('.map:not(.small) .canvas').screenshot();
   return page.evaluate(async ([base64, name]) => {
     const wanted = getComputedStyle(document.documentElement)
                        .getPropertyValue(name).trim();
@@ -282,7 +282,7 @@ export async function pixelsOf(page, property) {
 
 /** Red, green and blue of these points of the map on the screen. */
 export async function coloursAt(page, points) {
-  const shot = await page.locator('.map .canvas').screenshot();
+  const shot = await page.locator('.map:not(.small) .canvas').screenshot();
   return page.evaluate(async ([base64, wanted]) => {
     const bytes = Uint8Array.from(atob(base64), c => c.charCodeAt(0));
     const bitmap = await createImageBitmap(new Blob([bytes]));

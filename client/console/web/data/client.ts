@@ -66,7 +66,7 @@ export function credentials(): Record<string, string> {
 }
 
 /** Names a call for the server's log. */
-export function newRequestId(): string {
+function newRequestId(): string {
   const bytes = crypto.getRandomValues(new Uint8Array(8));
   return 'console-' +
       Array.from(bytes, byte => byte.toString(16).padStart(2, '0')).join('');

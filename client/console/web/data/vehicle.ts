@@ -46,6 +46,12 @@ export class VehicleStore {
     return nodes.map(node => ({node, pose: poseToAsk(graph, node)}));
   });
 
+  /** The pose to ask at, by the query that the server then takes. */
+  private readonly askedFor = computed(() => {
+    const graph = this.graph.value;
+    return new Map(graph ? this.checks.value.map(
+        ({pose}) => [graph.sequence[nodeAt(graph, pose)], pose]) : []);
+  });
   private readonly loader = new GraphLoader();
   private readonly ends: Array<() => void> = [];
   private listed = '';
@@ -132,10 +138,8 @@ export class VehicleStore {
 
   /** The address of a pair: that of the check that found it, if one did. */
   addressOf({query, matched}: Pair): string {
-    const graph = this.graph.value;
-    const check = graph && this.checks.value.find(
-        ({node}) => graph.sequence[node] === query);
-    return `/vehicles/${this.id}/candidates/${check?.pose ?? query}-${matched}`;
+    const asked = this.askedFor.value.get(query) ?? query;
+    return `/vehicles/${this.id}/candidates/${asked}-${matched}`;
   }
 
   /** The decision about a pair or, if there is none, about the same two places,

@@ -18,7 +18,7 @@ function timeAt(graph: Graph, sequence: number): number {
   return node < 0 ? NaN : graph.time[node];
 }
 
-export function linkValues(store: VehicleStore, graph: Graph,
+function linkValues(store: VehicleStore, graph: Graph,
                            {query, matched}: Pair): LinkValues {
   const [a, b] = [timeAt(graph, query), timeAt(graph, matched)];
   const known = <T,>(time: number, text: T) =>
