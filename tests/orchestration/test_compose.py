@@ -94,7 +94,8 @@ def test_server_takes_its_settings(tree, tmp_path):
 
 
 @pytest.mark.parametrize(("name", "host"), [
-    ("edge", "localhost"), ("edge", "envoy"), ("server", "revisitd"), ("envoy", "envoy")])
+    ("edge", "localhost"), ("edge", "envoy"), ("server", "revisitd"),
+    ("envoy", "envoy")])
 def test_certificates_are_of_the_names_that_are_asked_for(name, host, tree):
     files = tree / "deploy/compose/files"
     said = subprocess.run(
