@@ -41,6 +41,10 @@ test('wrong usage is refused with 64 and says what is allowed', () => {
       'a=http://127.0.0.1:2/metrics'], /--metrics calls both .* 'a'/],
     [['--metrics', 'http://127.0.0.1:1/x', '--metrics',
       'http://127.0.0.1:1/y'], /--metrics calls both .* '127\.0\.0\.1:1'/],
+    [['--link', 'https://host/{vehicle}'], /it is not NAME=TEMPLATE/],
+    [['--link', 'a=javascript:alert({pose_a})'], /it has to begin with/],
+    [['--link', 'a=ftp://host/'], /neither http nor https/],
+    [['--link', 'a=https://host/{pose_c}'], /\{pose_c\} is none of/],
     [['--colour', 'red'], /colour/],
   ]) {
     const {status, stderr} = start(...args);
@@ -132,7 +136,7 @@ test('there is no base map unless one is given', async () => {
   try {
     assert.equal((await fetch(`${console.url}/base-map.pmtiles`)).status, 404);
     assert.deepEqual(await (await fetch(`${console.url}/console.json`)).json(),
-                     {metrics: false, baseMap: false});
+                     {metrics: false, baseMap: false, links: []});
   } finally {
     await console.close();
   }
