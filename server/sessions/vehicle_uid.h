@@ -10,8 +10,8 @@
 
 namespace revisit::server {
 
-// A random UUID of version 4: the uid of a new vehicle, and whatever else has to
-// differ from all that there were.
+// A random UUID of version 4: the uid of a new vehicle, and whatever else has
+// to differ from all that there were.
 std::string NewUuid();
 
 // The uid of a vehicle that was stored before there were uids. It is made from

@@ -68,6 +68,10 @@ test('wrong usage is refused with 64 and says what is allowed', () => {
      /needs --public-url/],
     [['--log-format', 'xml'], /allowed are text, json/],
     [['--log-level', 'loud'], /allowed are debug, info/],
+    [['--link', 'https://host/{vehicle}'], /it is not NAME=TEMPLATE/],
+    [['--link', 'a=javascript:alert({pose_a})'], /it has to begin with/],
+    [['--link', 'a=ftp://host/'], /neither http nor https/],
+    [['--link', 'a=https://host/{pose_c}'], /\{pose_c\} is none of/],
     [['--colour', 'red'], /colour/],
   ]) {
     const {status, stderr} = start(...args);
@@ -189,7 +193,8 @@ test('there is no base map unless one is given', async () => {
   try {
     assert.equal((await fetch(`${console.url}/base-map.pmtiles`)).status, 404);
     assert.deepEqual(await (await fetch(`${console.url}/console.json`)).json(),
-                     {metrics: false, baseMap: false, signIn: false});
+                     {metrics: false, baseMap: false, links: [],
+                      signIn: false});
   } finally {
     await console.close();
   }
