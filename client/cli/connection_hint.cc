@@ -1,6 +1,8 @@
 #include "client/cli/connection_hint.h"
 
 #include "absl/strings/str_cat.h"
+#include "client/revisit/channel.h"
+#include "client/terminal/terminal.h"
 
 namespace revisit::client {
 namespace {
@@ -42,6 +44,14 @@ std::string Question(const absl::Status& status,
   return "";
 }
 
+// Which context chose the server, and where it is written; empty if none did.
+std::string ContextHint(const ChosenServer& server) {
+  if (server.context.empty()) return "";
+  return absl::StrCat("(the context ", server.context, " in ",
+                      server.contexts_path, ", chosen by ", server.chosen_by,
+                      ", names the server ", server.options.address, ")");
+}
+
 }  // namespace
 
 std::string ConnectionHint(const absl::Status& status,
@@ -54,11 +64,13 @@ std::string ConnectionHint(const absl::Status& status,
                       context);
 }
 
-std::string ContextHint(const ChosenServer& server) {
-  if (server.context.empty()) return "";
-  return absl::StrCat("(the context ", server.context, " in ",
-                      server.contexts_path, ", chosen by ", server.chosen_by,
-                      ", names the server ", server.options.address, ")");
+absl::StatusOr<std::shared_ptr<grpc::Channel>> MakeChannelTo(
+    const ChosenServer& server) {
+  auto channel = MakeChannel(server.options);
+  if (channel.ok()) return channel;
+  const absl::Status error = LocalError(channel.status());
+  const std::string context = ContextHint(server);
+  return context.empty() ? error : WithHint(error, context);
 }
 
 }  // namespace revisit::client

@@ -1,10 +1,12 @@
-// Hints at what may be wrong with a connection, where gRPC does not say it.
+// Connections whose errors say what may be wrong, where gRPC does not.
 #ifndef REVISIT_CLIENT_CLI_CONNECTION_HINT_H_
 #define REVISIT_CLIENT_CLI_CONNECTION_HINT_H_
 
+#include <memory>
 #include <string>
 
 #include "absl/status/status.h"
+#include "absl/status/statusor.h"
 #include "client/cli/connection_flags.h"
 
 namespace revisit::client {
@@ -15,8 +17,10 @@ namespace revisit::client {
 std::string ConnectionHint(const absl::Status& status,
                            const ChosenServer& server);
 
-// Which context chose the server, and where it is written; empty if none did.
-std::string ContextHint(const ChosenServer& server);
+// A channel to the server, as MakeChannel() has it. An error is one of this
+// machine, such as a certificate that cannot be read, and names the context.
+absl::StatusOr<std::shared_ptr<grpc::Channel>> MakeChannelTo(
+    const ChosenServer& server);
 
 }  // namespace revisit::client
 

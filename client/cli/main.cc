@@ -70,7 +70,7 @@ void AddCommands(const Command& program, const ConnectionFlags* connection,
   AddMapCommand(program);
   AddReviseCommand(program);
   AddConvertCommand(program);
-  AddEvaluateCommand(program);
+  AddEvaluateCommand(program, connection);
   AddDemoCommand(program);
   AddContextCommand(program, connection);
   AddInfoCommand(program);
@@ -82,12 +82,8 @@ void AddCommands(const Command& program, const ConnectionFlags* connection,
 
 absl::Status RunWithServer(const Run& run, const ChosenServer& server,
                            const Terminal& terminal) {
-  const auto channel = MakeChannel(server.options);
-  if (!channel.ok()) {
-    const absl::Status error = LocalError(channel.status());
-    const std::string context = ContextHint(server);
-    return context.empty() ? error : WithHint(error, context);
-  }
+  const auto channel = MakeChannelTo(server);
+  if (!channel.ok()) return channel.status();
   const absl::Status status =
       run({server.options, *channel, Client(*channel)}, terminal);
   const std::string hint = ConnectionHint(status, server);

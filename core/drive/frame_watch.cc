@@ -43,6 +43,28 @@ bool IsOnFallingStep(const Node& before, const Node& after) {
              (1.0 - after.fraction) * PositionVariance(before.covariance);
 }
 
+// Whether the claims grow over a leap as over the whole way before it.
+bool GrowsAsUsual(const Node& first, const Node& before, const Node& after) {
+  const double travelled = before.travelled_meters - first.travelled_meters;
+  if (travelled <= 0.0) return true;
+  const double ways = FrameWatch::kUsualGrowth *
+                      MetersBetween(before.pose, after.pose) / travelled;
+  const auto heading = [](const Node& from, const Node& to) {
+    return to.covariance(3, 3) - from.covariance(3, 3);
+  };
+  const auto position = [](const Node& from, const Node& to) {
+    return PositionVariance(to.covariance) - CarriedVariance(from, to.pose);
+  };
+  // Nodes between two poses of one covariance have it but for rounding.
+  constexpr double kRounding = 1e-9;
+  return heading(before, after) <=
+             ways * std::max(0.0, heading(first, before)) +
+                 kRounding * after.covariance(3, 3) &&
+         position(before, after) <=
+             ways * std::max(0.0, position(first, before)) +
+                 kRounding * PositionVariance(after.covariance);
+}
+
 NewFrame::Claims ClaimsOf(const Node& node) {
   return {std::sqrt(0.5 * PositionVariance(node.covariance)),
           std::sqrt(node.covariance(3, 3))};
@@ -58,33 +80,37 @@ void FrameWatch::Extend(const PoseGraph& graph,
     for (; gaps_ < gaps.size() && gaps[gaps_].node <= next_; ++gaps_) {
       is_behind_gap = true;
     }
-    const Node node = graph.node(next_);
-    if (next_ == 0) first_ = node;
-    Look(node, graph.SegmentStart(next_) == next_, is_behind_gap);
+    Look(graph, next_, is_behind_gap);
   }
 }
 
-void FrameWatch::Look(const Node& node, bool starts_segment,
+void FrameWatch::Look(const PoseGraph& graph, NodeIndex index,
                       bool is_behind_gap) {
   if (is_behind_gap) ends_count_ = 0;
+  const Node node = graph.node(index);
+  const bool starts_segment = graph.SegmentStart(index) == index;
+  // The step from End(k + 1) to End(k).
+  const auto step_meters = [&](std::size_t k) {
+    return k + 1 < ends_count_
+               ? MetersBetween(graph.pose(End(k + 1)), graph.pose(End(k)))
+               : 0.0;
+  };
   const std::uint64_t before = last_ ? last_->sequence : 0;
   if (starts_segment && ends_count_ > 0) {
-    const double usual =
-        ends_count_ > 1 ? MetersBetween(End(1).pose, End(0).pose) : 0.0;
-    Judge(End(0), nullptr, node, usual);
+    Judge(graph.node(0), graph.node(End(0)), nullptr, node, step_meters(0));
     ends_count_ = 0;
-  } else if (ends_count_ > 1 && node.sequence != End(0).sequence) {
-    const double usual =
-        ends_count_ > 2 ? MetersBetween(End(2).pose, End(1).pose) : 0.0;
-    Judge(End(1), &End(0), node, usual);
+  } else if (ends_count_ > 1 && node.sequence != end_sequence_) {
+    const Node middle = graph.node(End(0));
+    Judge(graph.node(0), graph.node(End(1)), &middle, node, step_meters(1));
   }
   // What lies behind a new frame is compared with nothing before it.
   if (last_ && last_->sequence != before) ends_count_ = 0;
-  AddEnd(node);
+  AddEnd(index, node.sequence);
 }
 
-void FrameWatch::Judge(const Node& before, const Node* middle,
-                       const Node& after, double usual_meters) {
+void FrameWatch::Judge(const Node& first, const Node& before,
+                       const Node* middle, const Node& after,
+                       double usual_meters) {
   const double meters = MetersBetween(before.pose, after.pose);
   const bool is_leap =
       meters >= kLeapMeters && meters >= kUsualSteps * usual_meters;
@@ -96,8 +122,8 @@ void FrameWatch::Judge(const Node& before, const Node* middle,
                           kFall * is < CarriedVariance(before, after.pose) &&
                           (kFall * heading_is < heading_was ||
                            (is_leap && heading_is <= heading_was));
-  const bool has_returned =
-      is_leap && HasReturned(after.pose) && GrowsAsUsual(before, after);
+  const bool has_returned = is_leap && HasReturned(first.pose, after.pose) &&
+                            GrowsAsUsual(first, before, after);
   if (!has_fallen && !has_returned) return;
   NewFrame frame;
   if (middle == nullptr) {
@@ -114,46 +140,26 @@ void FrameWatch::Judge(const Node& before, const Node* middle,
   last_ = frame;
 }
 
-bool FrameWatch::HasReturned(const Pose& pose) const {
+bool FrameWatch::HasReturned(const Pose& first, const Pose& pose) const {
   const auto is_at = [&](const Pose& place) {
     return MetersBetween(place, pose) <= return_meters_ &&
            std::abs(WrapHeading(pose.heading - place.heading)) <=
                kReturnRadians;
   };
-  return is_at(first_.pose) || is_at(Pose());
+  return is_at(first) || is_at(Pose());
 }
 
-bool FrameWatch::GrowsAsUsual(const Node& before, const Node& after) const {
-  const double travelled = before.travelled_meters - first_.travelled_meters;
-  if (travelled <= 0.0) return true;
-  const double ways =
-      kUsualGrowth * MetersBetween(before.pose, after.pose) / travelled;
-  const auto heading = [](const Node& from, const Node& to) {
-    return to.covariance(3, 3) - from.covariance(3, 3);
-  };
-  const auto position = [](const Node& from, const Node& to) {
-    return PositionVariance(to.covariance) - CarriedVariance(from, to.pose);
-  };
-  // Nodes between two poses of one covariance have it but for rounding.
-  constexpr double kRounding = 1e-9;
-  return heading(before, after) <=
-             ways * std::max(0.0, heading(first_, before)) +
-                 kRounding * after.covariance(3, 3) &&
-         position(before, after) <=
-             ways * std::max(0.0, position(first_, before)) +
-                 kRounding * PositionVariance(after.covariance);
-}
-
-void FrameWatch::AddEnd(const Node& node) {
-  if (ends_count_ > 0 && ends_[ends_count_ - 1].sequence == node.sequence) {
-    ends_[ends_count_ - 1] = node;
+void FrameWatch::AddEnd(NodeIndex index, std::uint64_t sequence) {
+  if (ends_count_ > 0 && sequence == end_sequence_) {
+    ends_[ends_count_ - 1] = index;
     return;
   }
   if (ends_count_ == ends_.size()) {
     std::move(ends_.begin() + 1, ends_.end(), ends_.begin());
     --ends_count_;
   }
-  ends_[ends_count_++] = node;
+  ends_[ends_count_++] = index;
+  end_sequence_ = sequence;
 }
 
 }  // namespace revisit::core

@@ -60,27 +60,28 @@ class FrameWatch {
   const NewFrame* last() const { return last_ ? &*last_ : nullptr; }
 
  private:
-  void Look(const Node& node, bool starts_segment, bool is_behind_gap);
+  void Look(const PoseGraph& graph, NodeIndex index, bool is_behind_gap);
   // Judges the way between two nodes. `middle`: the last node of the step
   // between them; null for a jump. `usual_meters`: the step before them.
-  void Judge(const Node& before, const Node* middle, const Node& after,
-             double usual_meters);
-  bool HasReturned(const Pose& pose) const;
-  // Whether the claims grow over a leap as over the whole way before it.
-  bool GrowsAsUsual(const Node& before, const Node& after) const;
+  void Judge(const Node& first, const Node& before, const Node* middle,
+             const Node& after, double usual_meters);
+  // Whether a pose is where the first one is, or at the origin.
+  bool HasReturned(const Pose& first, const Pose& pose) const;
   // The last node of a stretch between two poses: 0 is that of the last
   // stretch, 1 that of the one before. REQUIRES: k < ends_count_.
-  const Node& End(std::size_t k) const { return ends_[ends_count_ - 1 - k]; }
-  void AddEnd(const Node& node);
+  NodeIndex End(std::size_t k) const { return ends_[ends_count_ - 1 - k]; }
+  void AddEnd(NodeIndex index, std::uint64_t sequence);
 
   double return_meters_;
   NodeIndex next_ = 0;
   // Stretches that were dropped before the next node.
   std::size_t gaps_ = 0;
-  Node first_;
   // The last nodes between the same two poses each, of one segment, in order.
-  std::array<Node, 3> ends_;
+  // Their indices only, since every vehicle in memory has a watch.
+  std::array<NodeIndex, 3> ends_;
   std::size_t ends_count_ = 0;
+  // The sequence of End(0).
+  std::uint64_t end_sequence_ = 0;
   std::optional<NewFrame> last_;
 };
 

@@ -30,7 +30,8 @@ def clean_environment(**extra):
     whoever runs the tests, plus some."""
     kept = {name: value for name, value in os.environ.items()
             if not name.startswith("REVISIT_")}
-    kept["XDG_CONFIG_HOME"] = "/nonexistent"
+    # Nobody can make anything there, root included.
+    kept["XDG_CONFIG_HOME"] = "/proc/nonexistent"
     # A program with the sanitizer sets aside what it frees, 256 MiB of it, which
     # is none of the memory that tests measure.
     kept.setdefault("ASAN_OPTIONS", "quarantine_size_mb=16")

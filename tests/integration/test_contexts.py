@@ -48,6 +48,24 @@ def asked(result):
     return result.stderr.split("(is revisitd running at ")[1].split("?")[0]
 
 
+def test_evaluate_leaves_a_current_context_alone(contexts, tmp_path):
+    contexts.done("context", "set", "plant", "--server", "127.0.0.1:1",
+                  "--tls-ca", "missing.pem")
+    contexts.done("context", "use", "plant")
+    drive = tmp_path / "drive.csv"
+    rows = [f"{i},{i},{2 * i},0,0,{2 * i},0,0" for i in range(1, 400)]
+    drive.write_text("\n".join([
+        "sequence,timestamp_s,est_x,est_y,est_yaw,truth_x,truth_y,truth_yaw",
+        *rows]) + "\n")
+    result = contexts("evaluate", drive, "--json")
+    assert result.returncode == 0, result
+    assert json.loads(result.stdout)["methods"]
+    # Where it is named, it counts.
+    result = contexts("evaluate", drive, "--context", "plant", "--json")
+    assert result.returncode == LOCAL
+    assert "missing.pem" in result.stderr and "plant" in result.stderr
+
+
 def test_context_is_set_listed_shown_and_deleted(named, tmp_path):
     named.done("context", "set", "yard", "--token-file", "yard.token")
     held = json.loads(named.file.read_text())

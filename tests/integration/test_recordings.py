@@ -447,15 +447,15 @@ def test_summary_says_how_long_the_drive_is_and_what_was_left_out(
 
 
 def test_summary_leaves_pauses_out_of_the_mean_speed(stream, tmp_path):
-    # Two days in one file: 90 m in 9 s, nothing for a day, 90 m in 9 s.
-    rows = [(day * 86400 + i, day * 90 + 10 * i, 0)
+    # Two days in one file: 90 m in 9 s, 10 m until the next day, 90 m in 9 s.
+    rows = [(day * 86400 + i, 10 * (10 * day + i), 0)
             for day in range(2) for i in range(10)]
     file = write(tmp_path / "days.csv", rows, "t,x,y", ",")
     arguments = [file, "--columns", "t=t,x=x,y=y", "--uncertainty", "fixes",
                  "--create"]
     text = stream(*arguments, "--vehicle", "days")
     assert text.returncode == 0, text.stderr
-    assert ("drive             180.0 m in 86409.0 s, 10.00 m/s on average "
+    assert ("drive             190.0 m in 86409.0 s, 10.00 m/s on average "
             "without pauses of 86391.0 s\n") in text.stdout
     summary = json.loads(stream(*arguments, "--vehicle", "days-json",
                                 "--json").stdout)

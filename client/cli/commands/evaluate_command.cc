@@ -9,6 +9,7 @@
 #include "client/cli/commands/reader_flags.h"
 #include "client/cli/commands/shared_flags.h"
 #include "client/cli/commands/vehicle_settings.h"
+#include "client/cli/connection_hint.h"
 #include "client/evaluation/evaluate_options.h"
 #include "client/evaluation/run_evaluation.h"
 #include "client/evaluation/simulation.h"
@@ -260,7 +261,8 @@ std::string FinishOptions(const Command& command, EvaluateFlags* flags) {
 
 }  // namespace
 
-void AddEvaluateCommand(const Command& program) {
+void AddEvaluateCommand(const Command& program,
+                        const ConnectionFlags* connection) {
   const Command command = program.AddCommand(
       {"evaluate",
        "Measures candidates on recorded drives whose truth is known.", kDetails,
@@ -285,15 +287,22 @@ void AddEvaluateCommand(const Command& program) {
   const Check check = [command, flags] {
     return FinishOptions(command, flags.get());
   };
-  const Run run = [command, flags](const Connection& server,
-                                   const Terminal& terminal) {
+  const RunAlone run = [program, flags, connection](const Terminal& terminal) {
     // A current context alone is no wish to fill that server with drives.
-    if (command.Given("--server") || command.Given("--context")) {
-      flags->options.server = server.options;
+    if (!program.Given("--server") && !program.Given("--context")) {
+      return RunEvaluate(flags->options, terminal);
     }
-    return RunEvaluate(flags->options, terminal);
+    const auto server = ChooseServer(program, *connection);
+    if (!server.ok()) return server.status();
+    if (const auto channel = MakeChannelTo(*server); !channel.ok()) {
+      return channel.status();
+    }
+    flags->options.server = server->options;
+    const absl::Status status = RunEvaluate(flags->options, terminal);
+    const std::string hint = ConnectionHint(status, *server);
+    return hint.empty() ? status : WithHint(status, hint);
   };
-  command.Runs(run, check);
+  command.RunsAlone(run, check);
 }
 
 }  // namespace revisit::client
