@@ -45,7 +45,19 @@ class Certificate:
         self.serial = certificate.serial_number
 
 
+_ALL_USAGES = ("digital_signature", "content_commitment", "key_encipherment",
+               "data_encipherment", "key_agreement", "key_cert_sign", "crl_sign",
+               "encipher_only", "decipher_only")
+
+
+def _key_usage(*usages):
+    return x509.KeyUsage(**{usage: usage in usages for usage in _ALL_USAGES})
+
+
 class Authority:
+    """Its certificates have what RFC 5280 asks for, without which newer programs
+    take none."""
+
     def __init__(self, common_name="Test authority"):
         self._key = ec.generate_private_key(ec.SECP256R1())
         self._name = _name(common_name)
@@ -59,6 +71,10 @@ class Authority:
             .not_valid_after(now + datetime.timedelta(days=30))
             .add_extension(x509.BasicConstraints(ca=True, path_length=None),
                            critical=True)
+            .add_extension(_key_usage("key_cert_sign", "crl_sign"),
+                           critical=True)
+            .add_extension(x509.SubjectKeyIdentifier.from_public_key(
+                self._key.public_key()), critical=False)
             .sign(self._key, hashes.SHA256()))
         self.pem = self._certificate.public_bytes(serialization.Encoding.PEM)
 
@@ -74,7 +90,10 @@ class Authority:
             .public_key(key.public_key())
             .serial_number(x509.random_serial_number())
             .not_valid_before(now + datetime.timedelta(seconds=begins))
-            .not_valid_after(now + datetime.timedelta(seconds=ends)))
+            .not_valid_after(now + datetime.timedelta(seconds=ends))
+            .add_extension(
+                x509.AuthorityKeyIdentifier.from_issuer_public_key(
+                    self._key.public_key()), critical=False))
         alternatives = []
         for name in names:
             if isinstance(name, ipaddress.IPv4Address):
