@@ -151,8 +151,7 @@ Drive::Impl::Impl(const DriveSettings& with_settings)
       block_bounds(settings.state_space),
       monitor(MakeConsistencyOptions(settings)),
       model_check(settings.max_step_meters),
-      leap_watch(MakeLeapWatch()),
-      frame_watch(settings.node_spacing_meters) {
+      leap_watch(MakeLeapWatch()) {
   assert(FindProblems(settings).empty());
   ScheduleNextCheck();
 }
@@ -240,7 +239,7 @@ Drive::Impl::Found Drive::Impl::FoundSoFar() const {
 
 void Drive::Impl::ExtendWatches() {
   leap_watch.Extend(graph, dropped);
-  frame_watch.Extend(graph, dropped);
+  frame_watch.Extend(graph, dropped, settings.node_spacing_meters);
 }
 
 // A setting that differs may come to the same in whole nodes.

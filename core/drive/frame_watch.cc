@@ -2,7 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
+#include <memory>
+#include <optional>
 
 #include "core/geometry/heading.h"
 
@@ -65,55 +66,39 @@ bool GrowsAsUsual(const Node& first, const Node& before, const Node& after) {
                  kRounding * PositionVariance(after.covariance);
 }
 
+bool HasReturned(const Pose& first, const Pose& pose, double return_meters) {
+  const auto is_at = [&](const Pose& place) {
+    return MetersBetween(place, pose) <= return_meters &&
+           std::abs(WrapHeading(pose.heading - place.heading)) <=
+               FrameWatch::kReturnRadians;
+  };
+  return is_at(first) || is_at(Pose());
+}
+
 NewFrame::Claims ClaimsOf(const Node& node) {
   return {std::sqrt(0.5 * PositionVariance(node.covariance)),
           std::sqrt(node.covariance(3, 3))};
 }
 
-}  // namespace
+// From one stretch between two poses to another one.
+struct Way {
+  // The first node of the drive.
+  Node first;
+  Node before;
+  // The last node of the step between the two; none for a jump.
+  std::optional<Node> middle;
+  Node after;
+  // The step before.
+  double usual_meters = 0.0;
+};
 
-void FrameWatch::Extend(const PoseGraph& graph,
-                        const DroppedStretches& dropped) {
-  for (; next_ < graph.size(); ++next_) {
-    const std::vector<DroppedStretches::Gap>& gaps = dropped.gaps();
-    bool is_behind_gap = false;
-    for (; gaps_ < gaps.size() && gaps[gaps_].node <= next_; ++gaps_) {
-      is_behind_gap = true;
-    }
-    Look(graph, next_, is_behind_gap);
-  }
-}
-
-void FrameWatch::Look(const PoseGraph& graph, NodeIndex index,
-                      bool is_behind_gap) {
-  if (is_behind_gap) ends_count_ = 0;
-  const Node node = graph.node(index);
-  const bool starts_segment = graph.SegmentStart(index) == index;
-  // The step from End(k + 1) to End(k).
-  const auto step_meters = [&](std::size_t k) {
-    return k + 1 < ends_count_
-               ? MetersBetween(graph.pose(End(k + 1)), graph.pose(End(k)))
-               : 0.0;
-  };
-  const std::uint64_t before = last_ ? last_->sequence : 0;
-  if (starts_segment && ends_count_ > 0) {
-    Judge(graph.node(0), graph.node(End(0)), nullptr, node, step_meters(0));
-    ends_count_ = 0;
-  } else if (ends_count_ > 1 && node.sequence != end_sequence_) {
-    const Node middle = graph.node(End(0));
-    Judge(graph.node(0), graph.node(End(1)), &middle, node, step_meters(1));
-  }
-  // What lies behind a new frame is compared with nothing before it.
-  if (last_ && last_->sequence != before) ends_count_ = 0;
-  AddEnd(index, node.sequence);
-}
-
-void FrameWatch::Judge(const Node& first, const Node& before,
-                       const Node* middle, const Node& after,
-                       double usual_meters) {
+// The frame that begins with the way; nothing if none does.
+std::optional<NewFrame> Judge(const Way& way, double return_meters) {
+  constexpr double kFall = FrameWatch::kFall;
+  const auto& [first, before, middle, after, usual_meters] = way;
   const double meters = MetersBetween(before.pose, after.pose);
-  const bool is_leap =
-      meters >= kLeapMeters && meters >= kUsualSteps * usual_meters;
+  const bool is_leap = meters >= FrameWatch::kLeapMeters &&
+                       meters >= FrameWatch::kUsualSteps * usual_meters;
   const double was = PositionVariance(before.covariance);
   const double is = PositionVariance(after.covariance);
   const double heading_was = before.covariance(3, 3);
@@ -122,11 +107,12 @@ void FrameWatch::Judge(const Node& first, const Node& before,
                           kFall * is < CarriedVariance(before, after.pose) &&
                           (kFall * heading_is < heading_was ||
                            (is_leap && heading_is <= heading_was));
-  const bool has_returned = is_leap && HasReturned(first.pose, after.pose) &&
-                            GrowsAsUsual(first, before, after);
-  if (!has_fallen && !has_returned) return;
+  const bool has_returned =
+      is_leap && HasReturned(first.pose, after.pose, return_meters) &&
+      GrowsAsUsual(first, before, after);
+  if (!has_fallen && !has_returned) return std::nullopt;
   NewFrame frame;
-  if (middle == nullptr) {
+  if (!middle) {
     frame.sequence = after.sequence;
   } else {
     const bool is_on_step = has_fallen && IsOnFallingStep(*middle, after);
@@ -137,16 +123,50 @@ void FrameWatch::Judge(const Node& first, const Node& before,
   frame.after = ClaimsOf(after);
   frame.claims_fall = has_fallen;
   frame.nanoseconds = NanosecondsBetween(before, after);
-  last_ = frame;
+  return frame;
 }
 
-bool FrameWatch::HasReturned(const Pose& first, const Pose& pose) const {
-  const auto is_at = [&](const Pose& place) {
-    return MetersBetween(place, pose) <= return_meters_ &&
-           std::abs(WrapHeading(pose.heading - place.heading)) <=
-               kReturnRadians;
-  };
-  return is_at(first) || is_at(Pose());
+}  // namespace
+
+void FrameWatch::Extend(const PoseGraph& graph, const DroppedStretches& dropped,
+                        double node_spacing_meters) {
+  const double return_meters = node_spacing_meters + kReturnMeters;
+  for (; next_ < graph.size(); ++next_) {
+    const std::vector<DroppedStretches::Gap>& gaps = dropped.gaps();
+    bool is_behind_gap = false;
+    for (; gaps_ < gaps.size() && gaps[gaps_].node <= next_; ++gaps_) {
+      is_behind_gap = true;
+    }
+    Look(graph, next_, is_behind_gap, return_meters);
+  }
+}
+
+void FrameWatch::Look(const PoseGraph& graph, NodeIndex index,
+                      bool is_behind_gap, double return_meters) {
+  if (is_behind_gap) ends_count_ = 0;
+  const Node node = graph.node(index);
+  const bool is_behind_jump =
+      graph.SegmentStart(index) == index && ends_count_ > 0;
+  const bool is_behind_step =
+      !is_behind_jump && ends_count_ > 1 && node.sequence != end_sequence_;
+  if (is_behind_jump || is_behind_step) {
+    Way way;
+    way.first = graph.node(0);
+    // Of a step that has nodes, the last one lies on it.
+    const std::size_t before = is_behind_jump ? 0 : 1;
+    way.before = graph.node(End(before));
+    if (is_behind_step) way.middle = graph.node(End(0));
+    way.after = node;
+    if (before + 1 < ends_count_) {
+      way.usual_meters =
+          MetersBetween(graph.pose(End(before + 1)), way.before.pose);
+    }
+    const std::optional<NewFrame> frame = Judge(way, return_meters);
+    if (frame) last_ = std::make_unique<const NewFrame>(*frame);
+    // What lies behind a new frame is compared with nothing before it.
+    if (frame || is_behind_jump) ends_count_ = 0;
+  }
+  AddEnd(index, node.sequence);
 }
 
 void FrameWatch::AddEnd(NodeIndex index, std::uint64_t sequence) {

@@ -28,7 +28,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
-#include <optional>
+#include <memory>
 
 #include "core/drive/dropped_stretch.h"
 #include "core/drive/findings.h"
@@ -49,40 +49,33 @@ class FrameWatch {
   // than the way.
   static constexpr double kUsualGrowth = 1.25;
 
-  explicit FrameWatch(double node_spacing_meters)
-      : return_meters_(node_spacing_meters + kReturnMeters) {}
-
-  // Looks at the nodes by which the graph has grown. REQUIRES: the same two at
-  // each call.
-  void Extend(const PoseGraph& graph, const DroppedStretches& dropped);
+  // Looks at the nodes by which the graph has grown. REQUIRES: the same three
+  // at each call.
+  void Extend(const PoseGraph& graph, const DroppedStretches& dropped,
+              double node_spacing_meters);
 
   // The last frame that has begun; null if none has.
-  const NewFrame* last() const { return last_ ? &*last_ : nullptr; }
+  const NewFrame* last() const { return last_.get(); }
 
  private:
-  void Look(const PoseGraph& graph, NodeIndex index, bool is_behind_gap);
-  // Judges the way between two nodes. `middle`: the last node of the step
-  // between them; null for a jump. `usual_meters`: the step before them.
-  void Judge(const Node& first, const Node& before, const Node* middle,
-             const Node& after, double usual_meters);
-  // Whether a pose is where the first one is, or at the origin.
-  bool HasReturned(const Pose& first, const Pose& pose) const;
+  void Look(const PoseGraph& graph, NodeIndex index, bool is_behind_gap,
+            double return_meters);
   // The last node of a stretch between two poses: 0 is that of the last
   // stretch, 1 that of the one before. REQUIRES: k < ends_count_.
   NodeIndex End(std::size_t k) const { return ends_[ends_count_ - 1 - k]; }
   void AddEnd(NodeIndex index, std::uint64_t sequence);
 
-  double return_meters_;
+  // Every vehicle in memory has a watch, so it holds no nodes but their
+  // indices, and room for a frame only where one has begun.
   NodeIndex next_ = 0;
-  // Stretches that were dropped before the next node.
-  std::size_t gaps_ = 0;
   // The last nodes between the same two poses each, of one segment, in order.
-  // Their indices only, since every vehicle in memory has a watch.
   std::array<NodeIndex, 3> ends_;
-  std::size_t ends_count_ = 0;
   // The sequence of End(0).
   std::uint64_t end_sequence_ = 0;
-  std::optional<NewFrame> last_;
+  std::uint32_t ends_count_ = 0;
+  // Stretches that were dropped before the next node.
+  std::uint32_t gaps_ = 0;
+  std::unique_ptr<const NewFrame> last_;
 };
 
 }  // namespace revisit::core

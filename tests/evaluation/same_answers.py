@@ -131,7 +131,7 @@ def without_times(message):
     def clear(part):
         for field, value in part.ListFields():
             if field.name in ("search_duration", "create_time", "update_time",
-                              "uid", "etag", "vehicle_uid"):
+                              "uid", "etag", "vehicle_uid", "nodes_id"):
                 part.ClearField(field.name)
             elif field.message_type is not None:
                 for one in [value] if hasattr(value, "ListFields") else value:

@@ -9,6 +9,7 @@ import subprocess
 import pytest
 
 from revisit_server import BIN, clean_environment, run
+from stubs import ROOT
 
 USAGE = 64
 LOCAL = 1
@@ -53,15 +54,14 @@ def test_evaluate_leaves_a_current_context_alone(contexts, tmp_path):
                   "--tls-ca", "missing.pem")
     contexts.done("context", "use", "plant")
     drive = tmp_path / "drive.csv"
-    rows = [f"{i},{i},{2 * i},0,0,{2 * i},0,0" for i in range(1, 400)]
-    drive.write_text("\n".join([
-        "sequence,timestamp_s,est_x,est_y,est_yaw,truth_x,truth_y,truth_yaw",
-        *rows]) + "\n")
-    result = contexts("evaluate", drive, "--json")
+    shipped = ROOT / "tests/data/boreas/boreas_glen_shields.csv"
+    drive.write_text("\n".join(shipped.read_text().splitlines()[:400]) + "\n")
+    result = contexts("evaluate", drive, "--uncertainty", "file", "--json")
     assert result.returncode == 0, result
     assert json.loads(result.stdout)["methods"]
     # Where it is named, it counts.
-    result = contexts("evaluate", drive, "--context", "plant", "--json")
+    result = contexts("evaluate", drive, "--uncertainty", "file",
+                      "--context", "plant", "--json")
     assert result.returncode == LOCAL
     assert "missing.pem" in result.stderr and "plant" in result.stderr
 

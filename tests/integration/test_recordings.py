@@ -448,11 +448,10 @@ def test_summary_says_how_long_the_drive_is_and_what_was_left_out(
 
 def test_summary_leaves_pauses_out_of_the_mean_speed(stream, tmp_path):
     # Two days in one file: 90 m in 9 s, 10 m until the next day, 90 m in 9 s.
-    rows = [(day * 86400 + i, 10 * (10 * day + i), 0)
+    rows = [(day * 86400 + i, 10 * (10 * day + i), 0, 0)
             for day in range(2) for i in range(10)]
-    file = write(tmp_path / "days.csv", rows, "t,x,y", ",")
-    arguments = [file, "--columns", "t=t,x=x,y=y", "--uncertainty", "fixes",
-                 "--create"]
+    file = write(tmp_path / "days.csv", rows, "t,x,y,yaw", ",")
+    arguments = [file, "--create"]
     text = stream(*arguments, "--vehicle", "days")
     assert text.returncode == 0, text.stderr
     assert ("drive             190.0 m in 86409.0 s, 10.00 m/s on average "
