@@ -92,6 +92,15 @@ struct Way {
   double usual_meters = 0.0;
 };
 
+// Whether Judge() can find a frame at all: most ways are neither leaps nor have
+// claims that fall, and for these little is read of the graph.
+bool MayBegin(const PoseGraph& graph, NodeIndex before, const Node& after) {
+  return MetersBetween(graph.pose(before), after.pose) >=
+             FrameWatch::kLeapMeters ||
+         FrameWatch::kFall * PositionVariance(after.covariance) <
+             PositionVariance(graph.covariance(before));
+}
+
 // The frame that begins with the way; nothing if none does.
 std::optional<NewFrame> Judge(const Way& way, double return_meters) {
   constexpr double kFall = FrameWatch::kFall;
@@ -149,11 +158,12 @@ void FrameWatch::Look(const PoseGraph& graph, NodeIndex index,
       graph.SegmentStart(index) == index && ends_count_ > 0;
   const bool is_behind_step =
       !is_behind_jump && ends_count_ > 1 && node.sequence != end_sequence_;
-  if (is_behind_jump || is_behind_step) {
+  // Of a step that has nodes, the last one lies on it.
+  const std::size_t before = is_behind_jump ? 0 : 1;
+  if ((is_behind_jump || is_behind_step) &&
+      MayBegin(graph, End(before), node)) {
     Way way;
     way.first = graph.node(0);
-    // Of a step that has nodes, the last one lies on it.
-    const std::size_t before = is_behind_jump ? 0 : 1;
     way.before = graph.node(End(before));
     if (is_behind_step) way.middle = graph.node(End(0));
     way.after = node;
@@ -161,11 +171,13 @@ void FrameWatch::Look(const PoseGraph& graph, NodeIndex index,
       way.usual_meters =
           MetersBetween(graph.pose(End(before + 1)), way.before.pose);
     }
-    const std::optional<NewFrame> frame = Judge(way, return_meters);
-    if (frame) last_ = std::make_unique<const NewFrame>(*frame);
-    // What lies behind a new frame is compared with nothing before it.
-    if (frame || is_behind_jump) ends_count_ = 0;
+    if (const std::optional<NewFrame> frame = Judge(way, return_meters)) {
+      last_ = std::make_unique<const NewFrame>(*frame);
+      // What lies behind a new frame is compared with nothing before it.
+      ends_count_ = 0;
+    }
   }
+  if (is_behind_jump) ends_count_ = 0;
   AddEnd(index, node.sequence);
 }
 
