@@ -17,10 +17,24 @@ export interface ConsoleSettings {
 /** Undefined until the console has answered. */
 export const consoleSettings = signal<ConsoleSettings|undefined>(undefined);
 
-async function ask(): Promise<void> {
+const RETRY_MILLISECONDS = 1000;
+
+async function ask(): Promise<ConsoleSettings> {
   const answer = await fetch('/console.json');
   if (!answer.ok) throw new Error(`/console.json: ${answer.status}`);
-  consoleSettings.value = await answer.json() as ConsoleSettings;
+  return await answer.json() as ConsoleSettings;
 }
 
-ask().catch((error: unknown) => console.error(error));
+// Asked until there is an answer, since without it the page lacks parts. A page
+// that is being left gets none, and that is no error.
+async function learn(): Promise<void> {
+  while (!consoleSettings.value) {
+    try {
+      consoleSettings.value = await ask();
+    } catch {
+      await new Promise(done => setTimeout(done, RETRY_MILLISECONDS));
+    }
+  }
+}
+
+void learn();
