@@ -21,7 +21,7 @@ export const DRIVE =
 /** Pictures that the tests leave to be looked at. */
 export const OUT = join(ROOT, 'build/console');
 
-const PATIENCE_MILLISECONDS = 30_000;
+const PATIENCE_MILLISECONDS = 120_000;
 
 // The environment without settings of the programs under test.
 const environment = Object.fromEntries(
