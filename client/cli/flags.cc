@@ -441,15 +441,15 @@ void Command::Runs(const std::function<void()>& choose,
   });
 }
 
-void Command::Runs(Run run, Check check) const {
+void Command::Runs(Run run, const Check& check) const {
   Runs([chosen = &shared_->chosen, run = std::move(run)] { chosen->run = run; },
-       std::move(check));
+       check);
 }
 
-void Command::RunsAlone(RunAlone run, Check check) const {
+void Command::RunsAlone(RunAlone run, const Check& check) const {
   Runs([chosen = &shared_->chosen,
         run = std::move(run)] { chosen->run_alone = run; },
-       std::move(check));
+       check);
 }
 
 bool AsksForJson(int argc, const char* const* argv) {

@@ -199,8 +199,8 @@ class Command {
 
   // Makes `run` what is to be run when this command was chosen and `check`
   // finds nothing wrong, and gives the command the flag -o.
-  void Runs(Run run, Check check = nullptr) const;
-  void RunsAlone(RunAlone run, Check check = nullptr) const;
+  void Runs(Run run, const Check& check = nullptr) const;
+  void RunsAlone(RunAlone run, const Check& check = nullptr) const;
 
  private:
   friend class CommandLine;
