@@ -14,7 +14,7 @@ namespace revisit::client {
 // Where a server listens by default.
 inline constexpr char kDefaultServer[] = "127.0.0.1:50051";
 
-// What the flags, or their variables, were given.
+// The values of the flags, or of their variables.
 struct ConnectionFlags {
   std::string context;
   ChannelOptions server;
@@ -29,8 +29,8 @@ struct ChosenServer {
   std::string context;
   // The file that has the context.
   std::string contexts_path;
-  // What chose the address, for people: "--server", "REVISIT_CONTEXT", or a
-  // word for it.
+  // The flag or variable that chose the address, such as "REVISIT_CONTEXT", or
+  // words for people where neither did.
   std::string chosen_by;
 };
 

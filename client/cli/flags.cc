@@ -392,7 +392,7 @@ bool Command::Given(const std::string& name) const {
 bool Command::Typed(const std::string& name) const {
   const CLI::App* const owner = OwnerOf(name);
   if (owner == nullptr) return false;
-  // What the environment gives is not among the options that were parsed.
+  // Options that the environment gives are not among those that were parsed.
   const std::vector<CLI::Option*>& typed = owner->parse_order();
   return std::find(typed.begin(), typed.end(),
                    owner->get_option_no_throw(name)) != typed.end();

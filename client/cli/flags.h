@@ -98,7 +98,7 @@ struct CommandHelp {
 
 // The outcome of a command line.
 struct ParsedLine {
-  // What -o or --json ask for.
+  // The format that -o or --json ask for.
   OutputFormat format = OutputFormat::kText;
   // The help of this command, if it has a value.
   std::optional<CommandUsage> help;

@@ -74,7 +74,7 @@ struct Drive::Impl {
     ConfirmedLoop loop;
   };
 
-  // What tells findings from those of another moment, without their numbers.
+  // The findings of a moment, without their numbers, to tell when they change.
   struct Found {
     std::optional<FindingCode> model;
     bool has_leapt = false;

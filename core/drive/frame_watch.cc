@@ -158,7 +158,7 @@ void FrameWatch::Look(const PoseGraph& graph, NodeIndex index,
       graph.SegmentStart(index) == index && ends_count_ > 0;
   const bool is_behind_step =
       !is_behind_jump && ends_count_ > 1 && node.sequence != end_sequence_;
-  // Of a step that has nodes, the last one lies on it.
+  // If the step itself has nodes, End(0) is the last one on it.
   const std::size_t before = is_behind_jump ? 0 : 1;
   if ((is_behind_jump || is_behind_step) &&
       MayBegin(graph, End(before), node)) {
@@ -173,7 +173,7 @@ void FrameWatch::Look(const PoseGraph& graph, NodeIndex index,
     }
     if (const std::optional<NewFrame> frame = Judge(way, return_meters)) {
       last_ = std::make_unique<const NewFrame>(*frame);
-      // What lies behind a new frame is compared with nothing before it.
+      // Nodes behind a new frame are compared with none before it.
       ends_count_ = 0;
     }
   }

@@ -17,7 +17,7 @@
 // A leap is at least kLeapMeters long, and kUsualSteps times as long as the
 // step before it. Nothing is judged over poses that were dropped.
 //
-// What is compared are nodes: the last one before a step between two poses, and
+// The watch compares nodes: the last one before a step between two poses, and
 // the first one behind it. So what is seen is a function of the graph alone,
 // and nothing of it has to be stored. O(1) per node.
 //

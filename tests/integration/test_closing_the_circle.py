@@ -16,8 +16,8 @@ import pytest
 from revisit_server import Server, clean_environment, run
 from stubs import ROOT, api
 from test_shipped_drive import rows
-from verified_places import (BETTER_BY, GTSAM, INSTALL_SECONDS, SIGMA_METERS,
-                             SIGMA_RADIANS, is_one_place, measured,
+from verified_places import (BETTER_BY, SIGMA_METERS, SIGMA_RADIANS,
+                             install_gtsam, is_one_place, measured,
                              position_error)
 from wire import BOREAS, list_poses
 
@@ -28,14 +28,7 @@ OPTIMISE = ROOT / "tests/integration/optimise_g2o.py"
 def optimiser(tmp_path_factory):
     """The environment in which Python has GTSAM."""
     target = tmp_path_factory.mktemp("gtsam")
-    installed = subprocess.run(
-        [sys.executable, "-m", "pip", "install", "--quiet",
-         "--disable-pip-version-check", "--only-binary", ":all:",
-         "--target", target, GTSAM],
-        capture_output=True, text=True, timeout=INSTALL_SECONDS, check=False)
-    if installed.returncode != 0:
-        pytest.skip(f"{GTSAM}: no wheel could be installed: "
-                    f"{installed.stderr.strip().splitlines()[-1:]}")
+    install_gtsam(target)
     return clean_environment(PYTHONPATH=str(target))
 
 

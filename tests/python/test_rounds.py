@@ -6,7 +6,6 @@ tests/integration/test_closing_the_circle.py."""
 import importlib
 import math
 import random
-import subprocess
 import sys
 
 import numpy as np
@@ -16,10 +15,9 @@ import revisit
 from revisit import v1
 from verified_places import (
     BETTER_BY,
-    GTSAM,
-    INSTALL_SECONDS,
     SIGMA_METERS,
     SIGMA_RADIANS,
+    install_gtsam,
     is_one_place,
     measured,
     position_error,
@@ -33,14 +31,7 @@ UPPER = np.triu_indices(3)
 def gtsam(tmp_path_factory):
     """The optimiser, behind the packages of the tests' own environment."""
     target = tmp_path_factory.mktemp("gtsam")
-    installed = subprocess.run(
-        [sys.executable, "-m", "pip", "install", "--quiet",
-         "--disable-pip-version-check", "--only-binary", ":all:",
-         "--target", target, GTSAM],
-        capture_output=True, text=True, timeout=INSTALL_SECONDS, check=False)
-    if installed.returncode != 0:
-        pytest.skip(f"{GTSAM}: no wheel could be installed: "
-                    f"{installed.stderr.strip().splitlines()[-1:]}")
+    install_gtsam(target)
     sys.path.append(str(target))
     try:
         yield importlib.import_module("gtsam")

@@ -1,4 +1,4 @@
-// What the browser's tab is called: the view, so that tabs can be told apart.
+// The browser's tab is named after the view, so that tabs can be told apart.
 import {useEffect} from 'preact/hooks';
 
 /** Calls the tab so, the narrowest first. */

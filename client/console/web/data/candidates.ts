@@ -63,7 +63,7 @@ export class CandidateSource {
   private readonly stopWaiting: () => void;
 
   constructor(private readonly vehicle: string) {
-    // What was wanted while nobody looked is asked once somebody is back.
+    // Searches that were wanted while nobody looked begin once somebody is back.
     this.stopWaiting = idle.subscribe(() => this.proceed());
   }
 

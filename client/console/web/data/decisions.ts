@@ -1,5 +1,5 @@
-// What was decided about a vehicle's pairs of poses, by whomever; and what this
-// page has done, said and begun, each bound to the pair that it is about.
+// Decisions about a vehicle's pairs of poses, whoever made them, and the notes and
+// outcomes of this page, each bound to the pair that it is about.
 import {timestampMs} from '@bufbuild/protobuf/wkt';
 import {batch, computed, signal} from '@preact/signals';
 
