@@ -48,6 +48,9 @@ class Fleet:
     def __init__(self, running, directory):
         self._postgres = running.postgres
         self._stop = threading.Event()
+        # Lines that were written, of every vehicle; each is a pose.
+        self._lines = 0
+        self._stored = {}
         self._last = {}
         self.longest = {}
         self._streams = []
@@ -67,19 +70,18 @@ class Fleet:
     def _drive(self):
         """The same straight drive for all, each a little later than the one before."""
         header = "t_s,est_x,est_y,est_yaw\n"
-        line = 0
         begun = time.monotonic()
         while not self._stop.is_set():
+            line = self._lines
             for i, stream in enumerate(self._streams):
                 at = begun + EVERY * (line + i / VEHICLES)
                 time.sleep(max(0.0, at - time.monotonic()))
                 text = f"{EVERY * line:.3f},{line},0,0\n"
                 stream.stdin.write(text if line else header + text)
                 stream.stdin.flush()
-            line += 1
+            self._lines += 1
 
     def _watch(self):
-        before = {}
         while not self._stop.wait(0.02):
             try:
                 rows = self._postgres.ask(
@@ -89,18 +91,20 @@ class Fleet:
                 continue
             now = time.monotonic()
             for vehicle, sequence in (row.split("|") for row in rows.splitlines()):
-                if before.get(vehicle) != sequence:
+                if self._stored.get(vehicle) != int(sequence):
                     self.longest[vehicle] = max(
                         self.longest.get(vehicle, 0.0),
                         now - self._last.get(vehicle, now))
                     self._last[vehicle] = now
-                    before[vehicle] = sequence
+                    self._stored[vehicle] = int(sequence)
 
     def wait_until_all_go_on(self, seconds=60.0):
-        """Until each vehicle has stored something new."""
-        now = time.monotonic()
-        wait_until(lambda: len(self._last) == VEHICLES and
-                   min(self._last.values()) > now, "progress of all vehicles", seconds)
+        """Until each vehicle has stored a pose that nobody has sent yet: what a server
+        took before it was killed may be stored, or seen, after that."""
+        unsent = self._lines + 2
+        wait_until(lambda: len(self._stored) == VEHICLES and
+                   min(self._stored.values()) >= unsent, "progress of all vehicles",
+                   seconds)
 
     def begin(self):
         """What came before does not count."""
