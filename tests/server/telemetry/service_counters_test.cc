@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "absl/status/status.h"
+#include "absl/strings/string_view.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "server/base/status.h"
@@ -22,7 +23,7 @@ constexpr int kOk = 0;
 constexpr int kNotFound = 5;
 
 const ServiceCounters::Method& MethodOf(const ServiceCounters::Counts& counts,
-                                        const std::string& name) {
+                                        absl::string_view name) {
   for (const ServiceCounters::Method& method : counts.methods) {
     if (name == method.rule->method) return method;
   }
