@@ -85,9 +85,13 @@ def _is_like(shown, printed):
         for one, other in zip(NUMBER.findall(shown), NUMBER.findall(printed)))
 
 
+#: How far a command has come, which it says only where it takes seconds.
+PROGRESS = re.compile(r": (\d+ %  )?\d+(/\d+)? \w+  \d+/s(  [\d:]+ left)?$")
+
+
 def is_shown(shown, printed):
-    """Whether a document shows what a command printed. A line `...` of the document
-    stands for any number of lines."""
+    """Whether a document shows what a command printed, but for how far it had come. A
+    line `...` of the document stands for any number of lines."""
     def match(rows, lines):
         if not rows:
             return not lines
@@ -97,4 +101,5 @@ def is_shown(shown, printed):
             rows[1:], lines[1:])
 
     return match([row for row in shown.splitlines() if row.strip()],
-                 [line for line in printed.splitlines() if line.strip()])
+                 [line for line in printed.splitlines()
+                  if line.strip() and not PROGRESS.search(line)])
