@@ -101,6 +101,7 @@ class Fleet:
     def wait_until_all_go_on(self, seconds=60.0):
         """Until each vehicle has stored a pose that nobody has sent yet: what a server
         took before it was killed may be stored, or seen, after that."""
+        # Sequences count from 1, and the line of this number may be on its way.
         unsent = self._lines + 2
         wait_until(lambda: len(self._stored) == VEHICLES and
                    min(self._stored.values()) >= unsent, "progress of all vehicles",

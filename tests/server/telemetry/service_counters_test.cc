@@ -1,6 +1,5 @@
 #include "server/telemetry/service_counters.h"
 
-#include <string>
 #include <thread>
 #include <vector>
 
