@@ -71,15 +71,18 @@ void SetContent(const PairContent& content, v1::LoopClosure* closure) {
   }
   closure->set_note(content.note);
   if (content.score) closure->set_score(*content.score);
+  closure->set_decided_by(content.decided_by);
 }
 
 void SetContent(const PairContent& content, v1::RejectedCandidate* rejection) {
   rejection->set_note(content.note);
+  rejection->set_decided_by(content.decided_by);
 }
 
 template <typename Message>
 absl::StatusOr<PosePairRecord> DecodePair(PairKind kind, const Message* pair,
-                                          const std::string& id) {
+                                          const std::string& id,
+                                          const std::string& decided_by) {
   const char* const field = WordsOf(kind).field;
   const FieldPath request;
   const FieldPath path = request.Field(field);
@@ -89,7 +92,9 @@ absl::StatusOr<PosePairRecord> DecodePair(PairKind kind, const Message* pair,
     violations.Add(kInvalidField, path, "required");
   } else {
     CheckSequences(*pair, path, &violations);
-    record.payload = EncodePairContent(ContentOf(*pair, path, &violations));
+    PairContent content = ContentOf(*pair, path, &violations);
+    content.decided_by = decided_by;
+    record.payload = EncodePairContent(content);
   }
   if (violations.count() > 0) return violations.ToStatus();
   record.id = !id.empty() ? id
@@ -121,13 +126,15 @@ void EncodePair(PairKind kind, const std::string& vehicle_id,
 }  // namespace
 
 absl::StatusOr<PosePairRecord> DecodePosePair(const v1::LoopClosure* pair,
-                                              const std::string& id) {
-  return DecodePair(PairKind::kLoopClosure, pair, id);
+                                              const std::string& id,
+                                              const std::string& decided_by) {
+  return DecodePair(PairKind::kLoopClosure, pair, id, decided_by);
 }
 
 absl::StatusOr<PosePairRecord> DecodePosePair(const v1::RejectedCandidate* pair,
-                                              const std::string& id) {
-  return DecodePair(PairKind::kRejectedCandidate, pair, id);
+                                              const std::string& id,
+                                              const std::string& decided_by) {
+  return DecodePair(PairKind::kRejectedCandidate, pair, id, decided_by);
 }
 
 void EncodePosePair(const std::string& vehicle_id, const PosePairRecord& record,

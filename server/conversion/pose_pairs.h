@@ -16,11 +16,14 @@ inline constexpr std::size_t kMaxNoteBytes = 1024;
 // The record that a request for a new pair asks for, without creation time;
 // what depends on the vehicle's state space (RecordCodec::DecodeMeasurement())
 // is not checked. `pair` is null if it was left out; an id that was left out is
-// made from the sequences.
+// made from the sequences. `decided_by` is the caller's identity: that of the
+// message is not read.
 absl::StatusOr<PosePairRecord> DecodePosePair(const v1::LoopClosure* pair,
-                                              const std::string& id);
+                                              const std::string& id,
+                                              const std::string& decided_by);
 absl::StatusOr<PosePairRecord> DecodePosePair(const v1::RejectedCandidate* pair,
-                                              const std::string& id);
+                                              const std::string& id,
+                                              const std::string& decided_by);
 
 void EncodePosePair(const std::string& vehicle_id, const PosePairRecord& record,
                     v1::LoopClosure* message);

@@ -14,6 +14,7 @@ std::string EncodePairContent(const PairContent& content) {
   }
   stored.set_note(content.note);
   if (content.score) stored.set_score(*content.score);
+  stored.set_decided_by(content.decided_by);
   return stored.SerializeAsString();
 }
 
@@ -30,8 +31,23 @@ absl::Status ReadPairContent(
   }
   content.note = stored.note();
   if (stored.has_score()) content.score = stored.score();
+  content.decided_by = stored.decided_by();
   read(content);
   return absl::OkStatus();
+}
+
+bool PairContentsSayTheSame(const std::string& payload,
+                            const std::string& other) {
+  if (payload == other) return true;
+  stored::PosePairContent content;
+  stored::PosePairContent other_content;
+  if (!content.ParseFromString(payload) ||
+      !other_content.ParseFromString(other)) {
+    return false;
+  }
+  content.clear_decided_by();
+  other_content.clear_decided_by();
+  return content.SerializeAsString() == other_content.SerializeAsString();
 }
 
 absl::StatusOr<std::optional<core::LoopMeasurement>> DecodePairMeasurement(

@@ -21,6 +21,8 @@ struct PairContent {
   std::string note;
   // Only loop closures have one.
   std::optional<double> score;
+  // The caller who decided (Caller::identity); empty if that is not known.
+  std::string decided_by;
 };
 
 // Empty if there is no content.
@@ -31,6 +33,10 @@ std::string EncodePairContent(const PairContent& content);
 absl::Status ReadPairContent(
     const std::string& payload,
     const std::function<void(const PairContent&)>& read);
+
+// Implements RecordCodec::SayTheSame().
+bool PairContentsSayTheSame(const std::string& payload,
+                            const std::string& other);
 
 // Implements RecordCodec::DecodeMeasurement().
 absl::StatusOr<std::optional<core::LoopMeasurement>> DecodePairMeasurement(

@@ -149,6 +149,11 @@ ProtoRecordCodec::DecodeMeasurement(const std::string& payload,
   return DecodePairMeasurement(payload, space);
 }
 
+bool ProtoRecordCodec::SayTheSame(const std::string& payload,
+                                  const std::string& other) const {
+  return PairContentsSayTheSame(payload, other);
+}
+
 // ---- Batches
 
 absl::StatusOr<DecodedBatch> ProtoRecordCodec::DecodeBatch(

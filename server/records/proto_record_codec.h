@@ -34,6 +34,8 @@ class ProtoRecordCodec : public RecordCodec {
   std::string EncodeDropped(const core::DroppedStretch& stretch) const override;
   absl::StatusOr<std::optional<core::LoopMeasurement>> DecodeMeasurement(
       const std::string& payload, core::StateSpace space) const override;
+  bool SayTheSame(const std::string& payload,
+                  const std::string& other) const override;
   absl::StatusOr<std::string> SliceBatch(const std::string& payload,
                                          std::size_t first,
                                          std::size_t count) const override;

@@ -33,7 +33,8 @@ struct Grant {
 
 // Immutable once made, so that threads may share it.
 struct Caller {
-  // For the log: "token:" or "certificate:" and a name. Empty if the server
+  // For logs and decisions: "token:" or "certificate:" and a name, in UTF-8,
+  // and no longer than one of kMaxCertificateNameBytes. Empty if the server
   // does not ask who calls.
   std::string identity;
   // All grants are of this tenant; "*" means all of them. Empty if the server

@@ -4,10 +4,12 @@
 #include <openssl/err.h>
 #include <openssl/pem.h>
 
+#include <algorithm>
 #include <cstddef>
 #include <ctime>
 #include <utility>
 
+#include "absl/strings/ascii.h"
 #include "core/base/openssl_pointers.h"
 
 namespace revisit::server {
@@ -33,6 +35,12 @@ std::size_t Count(const std::string& text, const std::string& word) {
     ++count;
   }
   return count;
+}
+
+bool IsReadableName(const std::string& name) {
+  return name.size() <= kMaxCertificateNameBytes &&
+         std::all_of(name.begin(), name.end(),
+                     [](char c) { return absl::ascii_isprint(c); });
 }
 
 // Whether the last line that is not empty ends a block.
@@ -211,9 +219,8 @@ absl::StatusOr<ClientCertificate> ReadClientCertificate(
     std::string value(
         reinterpret_cast<const char*>(ASN1_STRING_get0_data(text)),
         static_cast<std::size_t>(ASN1_STRING_length(text)));
-    // A name with a NUL would be read differently by two readers.
-    if (value.find('\0') == std::string::npos)
-      list->push_back(std::move(value));
+    // A name with a NUL, for one, would be read differently by two readers.
+    if (IsReadableName(value)) list->push_back(std::move(value));
   }
   ERR_clear_error();
   return client;

@@ -4,6 +4,7 @@
 #define REVISIT_SERVER_SECURITY_CERTIFICATES_H_
 
 #include <chrono>
+#include <cstddef>
 #include <string>
 #include <vector>
 
@@ -39,8 +40,12 @@ struct TlsSummary {
 absl::StatusOr<TlsSummary> CheckTlsMaterial(const TlsMaterial& material,
                                             CertificateTime now);
 
+// Longest name of a client certificate that is read: SPIFFE ids are no longer.
+inline constexpr std::size_t kMaxCertificateNameBytes = 2048;
+
 struct ClientCertificate {
-  // Alternative names.
+  // Alternative names, but for those that are too long or not of printable
+  // ASCII, of which their type consists by its standard (RFC 5280).
   std::vector<std::string> uris;
   std::vector<std::string> dns_names;
   CertificateTime expires;

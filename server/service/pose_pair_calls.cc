@@ -47,7 +47,8 @@ absl::Status AddPair(const ServiceContext& service, const UnaryCallPtr& call,
   if (absl::Status status = call->ChooseVehicle(*vehicle); !status.ok()) {
     return status;
   }
-  absl::StatusOr<PosePairRecord> record = DecodePosePair(pair, id);
+  absl::StatusOr<PosePairRecord> record =
+      DecodePosePair(pair, id, call->rights().caller().identity);
   if (!record.ok()) return record.status();
   record->create_time_ns = NowNanoseconds();
   call->record().NameChanged(record->id);

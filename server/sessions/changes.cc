@@ -422,7 +422,9 @@ absl::Status Changes::CheckNewPair(PairKind kind, const PosePairRecord& pair,
   if (present != nullptr) {
     if (present->query_sequence == pair.query_sequence &&
         present->matched_sequence == pair.matched_sequence) {
-      if (present->payload == pair.payload) return absl::OkStatus();
+      if (vehicle_->codec->SayTheSame(present->payload, pair.payload)) {
+        return absl::OkStatus();
+      }
       return Error(StatusCode::kAlreadyExists, words.exists,
                    StrCat(words.noun, " '", pair.id, "' has another ",
                           words.content, "; to replace it, delete it first"));

@@ -65,6 +65,9 @@ class RecordCodec {
   virtual absl::StatusOr<std::optional<core::LoopMeasurement>>
   DecodeMeasurement(const std::string& payload,
                     core::StateSpace space) const = 0;
+  // Whether the payloads of two pairs say the same, whoever decided.
+  virtual bool SayTheSame(const std::string& payload,
+                          const std::string& other) const = 0;
   // A part of a stored batch: the poses from index `first` on, `count` of them,
   // encoded as a batch of their own.
   virtual absl::StatusOr<std::string> SliceBatch(const std::string& payload,

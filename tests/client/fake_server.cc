@@ -380,6 +380,7 @@ grpc::Status FakeServer::ListLoopClosures(
   };
   if (request->page_token().empty()) {
     add("150-20", 150, 20);
+    response->mutable_loop_closures(0)->set_decided_by("token:eva" + Said());
     response->set_next_page_token("second page");
   } else {
     add("160-30", 160, 30);

@@ -15,6 +15,8 @@ const POLICY = {
      verbs: ['read', 'write', 'admin']},
     {token_subject: 'acme', tenant: 'acme', vehicles: ['*'],
      verbs: ['read']},
+    {token_subject: 'acme-verifier', tenant: 'acme', vehicles: ['*'],
+     verbs: ['read', 'write']},
     {token_subject: 'umbra', tenant: 'umbra', vehicles: ['*'],
      verbs: ['read']},
   ],
@@ -101,6 +103,25 @@ test('who may only read is told so when he decides', async () => {
   await page.locator('.evidence').waitFor();
   await page.getByRole('button', {name: 'Confirm'}).click();
   await page.locator('.decision', {hasText: 'permission denied'}).waitFor();
+  assert.deepEqual(page.complaints, []);
+  await page.context().close();
+});
+
+test('a decision says who made it, to whoever may read it', async () => {
+  const page = await world.open('/');
+  await signIn(page, issuer.token('acme-verifier'));
+  await page.getByText('1 of 1 vehicles').waitFor();
+  await page.goto(world.console.url + '/vehicles/acme-1');
+  await page.locator('.side tbody a').first().click();
+  await page.locator('.evidence').waitFor();
+  await page.getByRole('button', {name: 'Confirm'}).click();
+  await page.locator('.state-line', {
+    hasText: /confirmed, .* by token:acme-verifier/}).waitFor();
+  await signIn(page, issuer.token('acme'));
+  await page.goto(world.console.url + '/vehicles/acme-1');
+  const row = page.getByRole('table', {name: 'Decisions'})
+                  .locator('tbody tr', {hasText: 'confirmed'});
+  await row.getByRole('cell', {name: 'token:acme-verifier'}).waitFor();
   assert.deepEqual(page.complaints, []);
   await page.context().close();
 });

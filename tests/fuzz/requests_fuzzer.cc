@@ -93,7 +93,7 @@ void CheckName(const std::string& name) {
 template <typename Pair>
 void CheckPair(const Pair* pair, const std::string& id,
                const VehicleConfig& config) {
-  const auto record = server::DecodePosePair(pair, id);
+  const auto record = server::DecodePosePair(pair, id, "");
   RequireGoodError(record.status());
   if (!record.ok()) return;
   Pair answer;

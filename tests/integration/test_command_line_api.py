@@ -86,7 +86,7 @@ def test_mistaken_reject_is_undone(vehicle, revisit):
                    "a bridge\nabove").returncode == 0
     table = revisit("rejections", "list", vehicle).stdout.splitlines()
     assert table[0].split() == ["ID", "QUERY_SEQ", "MATCHED_SEQ", "CREATED",
-                                "NOTE"]
+                                "DECIDED_BY", "NOTE"]
     assert table[1].split()[:3] == ["150-20", "150", "20"]
     assert table[1].endswith("  a bridge above")
     [rejected] = listed(revisit("rejections", "list", vehicle, "--json"))[

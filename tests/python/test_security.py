@@ -11,7 +11,7 @@ import revisit
 from conftest import LONG, straight
 from identities import (
     AUDIENCE, ISSUER, Authority, TokenKey, key_set, replace)
-from revisit import StreamCallbacks, StreamOptions
+from revisit import StreamCallbacks, StreamOptions, v1
 from revisit_server import Server, wait_until
 
 
@@ -79,6 +79,18 @@ def test_a_token_says_who_calls(plaintext, files):
         client.create_vehicle("a")
         with client.stream_poses("a") as stream:
             stream.append(straight(10))
+
+
+def test_decisions_say_who_made_them(plaintext, files):
+    with revisit.Client(plaintext.address, token_file=files.token_file()) as client:
+        client.create_vehicle("decided")
+        client.append_poses("decided", straight(50))
+        client.add_loop_closure("decided", 40, 4)
+        client.reject_candidate("decided", v1.RejectedCandidate(
+            query_sequence=41, matched_sequence=4, decided_by="token:somebody-else"))
+        for pairs in (client.list_loop_closures("decided"),
+                      client.list_rejected_candidates("decided")):
+            assert [pair.decided_by for pair in pairs] == ["token:backend"]
 
 
 def test_tls_with_a_token(encrypted, files):

@@ -177,6 +177,12 @@ PlainCodec::DecodeMeasurement(const std::string& payload,
   return std::optional<core::LoopMeasurement>(measurement);
 }
 
+bool PlainCodec::SayTheSame(const std::string& payload,
+                            const std::string& other) const {
+  return payload.substr(0, payload.find(" by ")) ==
+         other.substr(0, other.find(" by "));
+}
+
 absl::StatusOr<std::string> PlainCodec::SliceBatch(const std::string& payload,
                                                    std::size_t first,
                                                    std::size_t count) const {

@@ -132,6 +132,7 @@ void PrintTable(const typename Kind::List& all, const Terminal& terminal) {
       columns.push_back(std::move(column));
     }
   }
+  columns.push_back({"DECIDED_BY", Align::kLeft});
   // Last, since it is as long as whoever wrote it wanted.
   columns.push_back({"NOTE", Align::kLeft});
   Table table(std::move(columns));
@@ -144,6 +145,7 @@ void PrintTable(const typename Kind::List& all, const Terminal& terminal) {
     if (terminal.wide()) {
       for (std::string& cell : WideCells(item)) row.push_back(std::move(cell));
     }
+    row.push_back(item.decided_by().empty() ? "-" : item.decided_by());
     row.push_back(absl::StrReplaceAll(item.note(), {{"\n", " "}, {"\t", " "}}));
     table.AddRow(std::move(row));
   }

@@ -20,7 +20,7 @@ template <typename Pair>
 std::vector<std::string> Decoded(const std::string& text,
                                  const std::string& id) {
   const Pair pair = FromText<Pair>(text);
-  const auto record = DecodePosePair(&pair, id);
+  const auto record = DecodePosePair(&pair, id, "");
   if (!record.ok()) return FieldsOf(record.status());
   EXPECT_EQ(record->query_sequence, pair.query_sequence());
   EXPECT_EQ(record->matched_sequence, pair.matched_sequence());
@@ -49,7 +49,7 @@ TEST(PosePairTest, NamesTheFieldsThatAreWrong) {
       Decoded<v1::LoopClosure>("query_sequence: 3 matched_sequence: 2", "No"),
       ElementsAre("loop_closure_id"));
   const v1::RejectedCandidate* const left_out = nullptr;
-  EXPECT_THAT(FieldsOf(DecodePosePair(left_out, "").status()),
+  EXPECT_THAT(FieldsOf(DecodePosePair(left_out, "", "").status()),
               ElementsAre("rejected_candidate"));
 }
 

@@ -384,7 +384,7 @@ TEST(GoldenRecordTest, LoopClosuresAreWrittenAndReadAsEver) {
     note: "icp\n412"
     score: -0.5
   )pb");
-  const auto record = DecodePosePair(&closure, "");
+  const auto record = DecodePosePair(&closure, "", "");
   ASSERT_THAT(record.status(), IsOk());
   EXPECT_EQ(
       Hex(record->payload),
@@ -402,12 +402,20 @@ TEST(GoldenRecordTest, LoopClosuresAreWrittenAndReadAsEver) {
 TEST(GoldenRecordTest, RejectedCandidatesAreWrittenAndReadAsEver) {
   const auto rejection = FromText<v1::RejectedCandidate>(
       R"pb(query_sequence: 9 matched_sequence: 3 note: "bridge")pb");
-  const auto record = DecodePosePair(&rejection, "");
+  const auto record = DecodePosePair(&rejection, "", "");
   ASSERT_THAT(record.status(), IsOk());
   EXPECT_EQ(Hex(record->payload), "1206627269646765");
   v1::RejectedCandidate answer;
   EncodePosePair("v", *record, &answer);
   EXPECT_EQ(answer.note(), "bridge");
+  EXPECT_EQ(answer.decided_by(), "");
+  const auto decided = DecodePosePair(&rejection, "", "token:eva");
+  ASSERT_THAT(decided.status(), IsOk());
+  EXPECT_EQ(Hex(decided->payload),
+            "1206627269646765"
+            "2209746f6b656e3a657661");
+  EncodePosePair("v", *decided, &answer);
+  EXPECT_EQ(answer.decided_by(), "token:eva");
   // Records from before there were notes have no payload.
   EncodePosePair("v", {"9-3", 9, 3, 0, ""}, &answer);
   EXPECT_EQ(answer.note(), "");

@@ -44,14 +44,14 @@ constexpr char kRejected[] = R"pb(
 
 template <typename Pair>
 std::string PayloadOf(const Pair& pair) {
-  const auto record = DecodePosePair(&pair, "");
+  const auto record = DecodePosePair(&pair, "", "");
   EXPECT_THAT(record.status(), IsOk());
   return record.ok() ? record->payload : "";
 }
 
 template <typename Pair>
 std::vector<std::string> WrongFields(const Pair& pair) {
-  return FieldsOf(DecodePosePair(&pair, "").status());
+  return FieldsOf(DecodePosePair(&pair, "", "").status());
 }
 
 template <typename Pair>
@@ -69,6 +69,37 @@ void ExpectAnsweredAsSent(const char* text) {
 TEST(PairContentTest, IsAnsweredAsItWasSent) {
   ExpectAnsweredAsSent<v1::LoopClosure>(kMeasured);
   ExpectAnsweredAsSent<v1::RejectedCandidate>(kRejected);
+}
+
+TEST(PairContentTest, HasTheDeciderThatTheServerKnowsWhateverWasSent) {
+  auto sent = FromText<v1::LoopClosure>(kMeasured);
+  sent.set_decided_by("token:somebody-else");
+  PosePairRecord record = *DecodePosePair(&sent, "", "token:eva");
+  v1::LoopClosure closure;
+  EncodePosePair("v", record, &closure);
+  EXPECT_EQ(closure.decided_by(), "token:eva");
+  auto rejected = FromText<v1::RejectedCandidate>(kRejected);
+  rejected.set_decided_by("token:somebody-else");
+  v1::RejectedCandidate rejection;
+  EncodePosePair("v", *DecodePosePair(&rejected, "", "certificate:a.example"),
+                 &rejection);
+  EXPECT_EQ(rejection.decided_by(), "certificate:a.example");
+  EncodePosePair("v", *DecodePosePair(&rejected, "", ""), &rejection);
+  EXPECT_EQ(rejection.decided_by(), "");
+}
+
+TEST(PairContentTest, SaysTheSameWhoeverDecided) {
+  const auto payload = [](const std::string& note, const std::string& by) {
+    PairContent content;
+    content.note = note;
+    content.decided_by = by;
+    return EncodePairContent(content);
+  };
+  EXPECT_TRUE(PairContentsSayTheSame(payload("a", ""), payload("a", "")));
+  EXPECT_TRUE(PairContentsSayTheSame(payload("a", "x"), payload("a", "y")));
+  EXPECT_TRUE(PairContentsSayTheSame(payload("", "x"), ""));
+  EXPECT_FALSE(PairContentsSayTheSame(payload("a", "x"), payload("b", "x")));
+  EXPECT_FALSE(PairContentsSayTheSame("\xff", payload("", "x")));
 }
 
 TEST(PairContentTest, OfPosesAloneIsEmpty) {

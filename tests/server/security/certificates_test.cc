@@ -155,6 +155,18 @@ TEST_F(CertificatesTest, ClientCertificateTellsItsNamesByKind) {
   EXPECT_LE(client->expires, request.until);
 }
 
+TEST_F(CertificatesTest, NamesOfClientsAreShortAndOfPrintableAscii) {
+  CertificateRequest request;
+  const std::string longest(kMaxCertificateNameBytes - 4, 'a');
+  request.alternative_names = "URI:urn:" + longest + ",URI:urn:" + longest +
+                              "a,URI:urn:caf\xc3\xa9,DNS:a\x1b,URI:urn:b";
+  const TestCertificate certificate(request, &authority_);
+  const auto client = ReadClientCertificate(certificate.Pem());
+  ASSERT_THAT(client, IsOk());
+  EXPECT_THAT(client->uris, ElementsAre("urn:" + longest, "urn:b"));
+  EXPECT_THAT(client->dns_names, IsEmpty());
+}
+
 TEST_F(CertificatesTest, ClientCertificateMayHaveNoNames) {
   const auto client = ReadClientCertificate(leaf_.Pem());
   ASSERT_THAT(client, IsOk());

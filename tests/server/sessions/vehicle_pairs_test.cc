@@ -43,6 +43,25 @@ TEST_F(VehicleSessionTest, AddsPairOfEachKindOnce) {
   EXPECT_THAT(snapshot.graph, HasSubstr("1 - 8"));
 }
 
+TEST_F(VehicleSessionTest, RepetitionByAnotherCallerAnswersWhatIsThere) {
+  ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
+  for (const PairKind kind : {kClosure, kRejection}) {
+    const std::uint64_t query = kind == kClosure ? 9 : 8;
+    const std::string said = "0 0 0 1";
+    ASSERT_THAT(
+        AddPairNow(*session_, kind, {"a", query, 2, 77, said + " by eva"}),
+        IsOk());
+    const auto again =
+        AddPairNow(*session_, kind, {"a", query, 2, 99, said + " by tom"});
+    ASSERT_THAT(again, IsOk());
+    EXPECT_FALSE(again->is_new);
+    EXPECT_EQ(again->pair.payload, said + " by eva");
+    EXPECT_THAT(
+        AddPairNow(*session_, kind, {"a", query, 2, 0, "1 0 0 1 by eva"}),
+        IsError(absl::StatusCode::kAlreadyExists, WordsOf(kind).exists, _));
+  }
+}
+
 TEST_F(VehicleSessionTest, RefusesPairThatIsOneOfTheOtherKind) {
   ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
   ASSERT_THAT(AddPairNow(*session_, kClosure, {"same", 9, 2, 0}), IsOk());

@@ -19,8 +19,7 @@ export function keyOfPair({query, matched}: Pair): string {
   return `${query}-${matched}`;
 }
 
-/** A loop closure or a rejected candidate. The server keeps when it was made,
- * but not by whom. */
+/** A loop closure or a rejected candidate. */
 export interface Decision extends Pair {
   kind: 'confirmed'|'rejected';
   /** The resource name. */
@@ -28,6 +27,8 @@ export interface Decision extends Pair {
   note: string;
   /** Milliseconds since 1970. */
   time: number;
+  /** Who made it, as the server knows its callers; empty if it does not. */
+  by: string;
 }
 
 /** Something that was done in this page. */
@@ -57,6 +58,7 @@ function asDecision(kind: Decision['kind'],
     matched: Number(made.matchedSequence),
     note: made.note,
     time: made.createTime ? timestampMs(made.createTime) : NaN,
+    by: made.decidedBy,
   };
 }
 

@@ -60,6 +60,7 @@ function DecisionLine({store, pair, decision}:
       {Number.isNaN(decision.time) ? '' :
         <>, <time dateTime={new Date(decision.time).toISOString()}>
           {instant(decision.time)}</time></>}
+      {decision.by && <> by <code>{decision.by}</code></>}
       {decision.note ? `: ${decision.note}` : '.'}
     </>
   );

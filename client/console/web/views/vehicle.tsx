@@ -90,6 +90,7 @@ function decisionColumns(store: VehicleStore): Array<Column<Decision>> {
      cell: ({matched}) => count(matched)},
     {title: 'Decision', by: ({kind}) => kind, cell: ({kind}) => kind},
     {title: 'When', by: ({time}) => time, cell: ({time}) => instant(time)},
+    {title: 'By', by: ({by}) => by, cell: ({by}) => by},
     {title: 'Note', by: ({note}) => note, cell: ({note}) => note},
   ];
 }

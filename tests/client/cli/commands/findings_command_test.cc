@@ -18,10 +18,11 @@ class FindingsCommandTest : public CommandTest {};
 TEST_F(FindingsCommandTest, ListsHaveAllPages) {
   ASSERT_TRUE(RunClosuresList(client_, "shuttle", Text()).ok());
   EXPECT_EQ(out_.str(),
-            "ID      QUERY_SEQ  MATCHED_SEQ  CREATED               NOTE\n"
-            "150-20        150           20  1970-01-01T00:00:00Z\n"
-            "160-30        160           30  1970-01-01T00:00:00Z\n"
-            "again         160           30  1970-01-01T00:00:00Z\n");
+            "ID      QUERY_SEQ  MATCHED_SEQ  CREATED               DECIDED_BY  "
+            "NOTE\n"
+            "150-20        150           20  1970-01-01T00:00:00Z  token:eva\n"
+            "160-30        160           30  1970-01-01T00:00:00Z  -\n"
+            "again         160           30  1970-01-01T00:00:00Z  -\n");
   out_.str("");
   ASSERT_TRUE(RunClosuresList(client_, "shuttle", Json()).ok());
   EXPECT_EQ(json::parse(out_.str())["loopClosures"][1]["querySequence"], 160);
@@ -42,7 +43,8 @@ TEST_F(FindingsCommandTest, NamesAreThoseOfTheResources) {
 
 TEST_F(FindingsCommandTest, NotesAreListedInOneLineAndInJsonAsTheyAre) {
   ASSERT_TRUE(RunRejectionsList(client_, "shuttle", Text()).ok());
-  EXPECT_THAT(out_.str(), HasSubstr("1970-01-01T00:00:00Z  a bridge  above\n"));
+  EXPECT_THAT(out_.str(),
+              HasSubstr("1970-01-01T00:00:00Z  -           a bridge  above\n"));
   out_.str("");
   ASSERT_TRUE(RunRejectionsList(client_, "shuttle", Json()).ok());
   const json listed = json::parse(out_.str())["rejectedCandidates"];
