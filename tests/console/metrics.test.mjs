@@ -39,10 +39,10 @@ async function withConsole(flags, use, address = revisitd.address) {
   const console = new Console(() => address, flags);
   await console.start();
   try {
-    return await use(async subject => {
+    return await use(async (subject, tokens = {}) => {
+      const token = subject && (tokens[subject] ?? issuer.token(subject));
       const answer = await fetch(`${console.url}/metrics.json`, {
-        headers: subject ? {authorization: `Bearer ${issuer.token(subject)}`} :
-                           {},
+        headers: token ? {authorization: `Bearer ${token}`} : {},
       });
       return {status: answer.status, body: await answer.json()};
     });
@@ -105,6 +105,60 @@ test('nobody is told them while the server cannot say who calls', async () => {
   const {status} = await metricsOf(['--metrics', revisitd.metrics], 'operator',
                                    '127.0.0.1:1');
   assert.equal(status, 503);
+});
+
+/** How often revisitd was asked who somebody is. */
+async function questions() {
+  const text = await (await fetch(revisitd.metrics)).text();
+  return [...text.matchAll(
+      /^revisit_calls_total\{[^}]*method="GetServerInfo"[^}]*\} (\d+)$/gm)]
+      .reduce((sum, [, value]) => sum + Number(value), 0);
+}
+
+test('revisitd is asked about a caller once in ten seconds, however many tabs ' +
+     'he has', async () => {
+  await withConsole(['--metrics', revisitd.metrics], async ask => {
+    const before = await questions();
+    const began = Date.now();
+    // All tabs of a caller have one token.
+    const tokens = {operator: issuer.token('operator'),
+                    acme: issuer.token('acme')};
+    const asked = [];
+    for (let round = 0; round < 5; ++round) {
+      for (const subject of ['operator', 'acme', undefined]) {
+        for (let tab = 0; tab < 3; ++tab) asked.push(ask(subject, tokens));
+      }
+      await Promise.all(asked);
+    }
+    assert.ok(Date.now() - began < 9000);
+    assert.deepEqual(
+        (await Promise.all(asked)).map(({status}) => status),
+        Array(5).fill([200, 200, 200, 403, 403, 403, 401, 401, 401]).flat());
+    assert.equal(await questions() - before, 3);
+    await until(async () => {
+      await ask('operator', tokens);
+      return await questions() - before === 4;
+    }, 'another question');
+    assert.ok(Date.now() - began >= 10_000);
+  });
+});
+
+test('that no server answers is not remembered', async () => {
+  const started = new Revisitd(mkdtempSync(join(directory, 'late-')),
+                               issuer.flags(directory, POLICY));
+  await started.start();
+  await started.kill();
+  try {
+    await withConsole(['--metrics', revisitd.metrics], async ask => {
+      const tokens = {operator: issuer.token('operator')};
+      assert.equal((await ask('operator', tokens)).status, 503);
+      await started.start();
+      await until(async () => (await ask('operator', tokens)).status === 200,
+                  'an answer', 8000);
+    }, started.address);
+  } finally {
+    await started.close();
+  }
 });
 
 test('without --metrics there are none', async () => {

@@ -1,11 +1,9 @@
 import type {IncomingMessage, ServerResponse} from 'node:http';
 
-import {type Client, Code, ConnectError, createClient, type Transport} from
-    '@connectrpc/connect';
+import {Code, ConnectError, type Transport} from '@connectrpc/connect';
 
-import {PoseGraphService} from '../gen/revisit/v1/pose_graph_service_pb.js';
-import {isAway} from './error_info.js';
 import {type MetricsPage, Scraper, type ServerMetrics} from './scrape.js';
+import {Standing} from './standing.js';
 
 /** The answer to the page's question. */
 export interface MetricsAnswer {
@@ -15,25 +13,20 @@ export interface MetricsAnswer {
   servers: ServerMetrics[];
 }
 
-const DEADLINE_MILLISECONDS = 2000;
-
-type Service = Client<typeof PoseGraphService>;
-
 /**
  * Answers GET /metrics.json with the metrics of all servers, whose admin ports
  * ask nobody who he is. They are of all tenants, so they go only to callers
- * whom revisitd itself takes to belong to none, by its answer to GetServerInfo.
+ * whom revisitd itself takes to belong to none.
  */
 export class Metrics {
   private readonly scrapers: Scraper[];
-  private readonly services: Service[];
+  private readonly standing: Standing;
 
-  /** The first server of those behind `transports` that answers says who a
-   * caller is: one that is away hides no others' metrics. */
+  /** The servers behind `transports` say who a caller is: one that is away hides
+   * no others' metrics. */
   constructor(pages: readonly MetricsPage[], transports: readonly Transport[]) {
     this.scrapers = pages.map(page => new Scraper(page));
-    this.services = transports.map(
-        transport => createClient(PoseGraphService, transport));
+    this.standing = new Standing(transports);
   }
 
   async answer(request: IncomingMessage, response: ServerResponse):
@@ -53,7 +46,8 @@ export class Metrics {
       return [404, {message: 'The console was started without --metrics.'}];
     }
     try {
-      if (!await this.isOverAllTenants(request.headers.authorization)) {
+      const {authorization} = request.headers;
+      if (!await this.standing.isOverAllTenants(authorization)) {
         return [403, {message: 'Metrics are of the whole server, and this ' +
                                'caller belongs to a tenant of it.'}];
       }
@@ -65,24 +59,5 @@ export class Metrics {
     const servers = await Promise.all(
         this.scrapers.map(scraper => scraper.latest()));
     return [200, {time: Date.now(), servers}];
-  }
-
-  /** Throws what the last server said if none knows. */
-  private async isOverAllTenants(authorization: string|undefined):
-      Promise<boolean> {
-    let failure: unknown;
-    for (const service of this.services) {
-      try {
-        const {overAllTenants} = await service.getServerInfo({}, {
-          timeoutMs: DEADLINE_MILLISECONDS,
-          headers: authorization === undefined ? {} : {authorization},
-        });
-        return overAllTenants;
-      } catch (error) {
-        if (!isAway(error)) throw error;
-        failure = error;
-      }
-    }
-    throw failure;
   }
 }
