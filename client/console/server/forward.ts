@@ -27,7 +27,7 @@ const STREAMS: DescMethodServerStreaming[] = [calls.exportPoseGraph];
 /** Methods that leave revisitd as it is. */
 const READING = /^(Get|List|Find|Export|Check)/;
 
-/** What gRPC counts for a header beside its name and its value. */
+/** The bytes that gRPC counts for a header beside its name and its value. */
 const HEADER_BYTES = 32;
 
 /** How many bytes of a caller's headers a call takes to revisitd. A call with

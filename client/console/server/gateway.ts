@@ -18,7 +18,7 @@ export const METRICS_PATH = '/metrics.json';
 const SERVICES = /^\/[a-z][\w.]*\.[A-Z]\w*\/[A-Z]\w*$/;
 const LARGE_ANSWERS = /\/ExportPoseGraph$|^\/metrics\.json$/;
 
-/** What answers the requests that are let in. */
+/** The parts that answer the requests which are let in. */
 export interface Parts {
   pages: Pages;
   metrics: Metrics;

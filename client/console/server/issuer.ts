@@ -10,7 +10,7 @@ globalThis.crypto ??= webcrypto as Crypto;
 
 const DEADLINE_SECONDS = 10;
 
-/** What an issuer has said about somebody. */
+/** The tokens and the name that an issuer has given of somebody. */
 export interface Tokens {
   /** The one that revisitd is shown. */
   bearer: string;
@@ -20,7 +20,7 @@ export interface Tokens {
   refresh: string|undefined;
   id: string|undefined;
   subject: string;
-  /** What people call them. */
+  /** The name by which people know them. */
   name: string;
 }
 
@@ -49,7 +49,7 @@ function claimsIn(token: string): Claims|undefined {
   }
 }
 
-/** What an issuer, or the way to it, says went wrong. */
+/** The reason that an issuer, or the way to it, gives for a failure. */
 export function reasonOf(error: unknown): string {
   if (error instanceof oidc.AuthorizationResponseError ||
       error instanceof oidc.ResponseBodyError) {

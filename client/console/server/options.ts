@@ -83,7 +83,7 @@ The command line counts before variables, and those before the file.
 
 const SERVER_NAME = /^[A-Za-z0-9][A-Za-z0-9._-]{0,62}$/;
 const SCOPES = 'openid profile offline_access';
-/** What gRPC itself adds to the headers of a call fits in what is left of the
+/** The headers that gRPC itself adds to a call fit in what this leaves of the
  * least that a revisitd can be told to take, 8,192 bytes. */
 const METADATA_BYTES = 7168;
 const MOST_METADATA_BYTES = 1 << 20;

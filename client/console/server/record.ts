@@ -17,7 +17,7 @@ interface Outcome {
   message: string;
 }
 
-/** What is noted of one request, for the line that it gets in the log. */
+/** The notes about one request, for the line that it gets in the log. */
 export class RequestRecord {
   readonly trace: Trace;
   kind: RequestKind = 'page';

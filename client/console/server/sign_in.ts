@@ -15,7 +15,7 @@ const ATTEMPT_COOKIE = 'revisit-sign-in';
 const ATTEMPT_SECONDS = 600;
 const MOST_VIEW_BYTES = 1000;
 
-/** What the page is told about who uses it. */
+/** The page is told this about who uses it. */
 export interface SessionAnswer {
   /** Null for nobody. */
   user: {subject: string, name: string}|null;

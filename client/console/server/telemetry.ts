@@ -1,7 +1,7 @@
 import {collectDefaultMetrics, Counter, Gauge, Histogram, Registry} from
     'prom-client';
 
-/** What a request is for. */
+/** The purposes of requests. */
 export type RequestKind =
     'page'|'call'|'metrics'|'base_map'|'sign_in'|'refused';
 export type SignInResult = 'ok'|'failed';

@@ -1,7 +1,7 @@
 // Templates of links from a pair of poses to other programs: a viewer of
 // recordings, or a server of camera pictures.
 
-/** What a template may name in braces. */
+/** The values that a template may name in braces. */
 export const LINK_VALUES = [
   'vehicle', 'pose_a', 'pose_b', 'time_a', 'time_b', 'unix_a', 'unix_b',
 ] as const;

@@ -100,7 +100,7 @@ export class DecisionBook {
   readonly rejections = signal<Decision[]>([]);
   readonly all = computed(
       () => [...this.closures.value, ...this.rejections.value]);
-  /** What this page did since it was loaded, the last at the end. */
+  /** All that this page did since it was loaded, the last at the end. */
   readonly deeds = signal<Deed[]>([]);
   readonly drafts = new Drafts();
   private changes = 0;
@@ -138,7 +138,7 @@ export class DecisionBook {
         ({at, state}) => at === key && state === 'under way');
   }
 
-  /** What was done last where this pair was shown. */
+  /** The last deed where this pair was shown. */
   lastAt(key: string): Deed|undefined {
     return this.deeds.value.filter(({at}) => at === key).at(-1);
   }

@@ -32,7 +32,7 @@ export interface Graph extends Nodes {
   pyramid: Pyramid;
 }
 
-/** What a vehicle has more than a graph that was there before. */
+/** The part of a vehicle's graph that an earlier one lacks. */
 export interface Growth extends Pick<Graph, 'revision'|'closures'> {
   nodes: Nodes;
 }
@@ -41,7 +41,7 @@ export interface GraphRequest {
   vehicle: string;
   origin: string;
   headers: Record<string, string>;
-  /** What is here already; nothing for ''. */
+  /** The nodes that are here already are those of this id; none for ''. */
   nodesId: string;
   size: number;
 }

@@ -16,10 +16,10 @@ export interface Series {
 
 export interface Curve {
   title: string;
-  /** What x is, with its unit. */
+  /** The quantity along x, with its unit. */
   xLabel: string;
   x: number[];
-  /** What of x is shown; undefined for all that there is. */
+  /** The part of x that is shown; undefined for all that there is. */
   xRange?: [number, number];
   series: Series[];
   /** Whether the values span powers of ten. */

@@ -72,7 +72,7 @@ class MapDrawing {
   /** Once somebody has moved the map it stays where it is. */
   private moved = false;
   private fitted = '';
-  /** What the pointer is at. */
+  /** The thing that the pointer is at. */
   private hit: Hit|undefined;
 
   constructor(parent: HTMLDivElement,
@@ -254,7 +254,7 @@ interface Props {
   scene: Scene;
   /** How the map lies on the earth, where that is known. */
   frame?: Frame;
-  /** What the map shows, for those who do not see it. */
+  /** The map in words, for those who do not see it. */
   label: string;
   /** Tells others what is in view: an export draws the same. */
   shownRef?: {current: MapSheet|undefined};

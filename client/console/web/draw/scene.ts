@@ -9,11 +9,12 @@ export type Colour =
     'uninformative'|'ill-conditioned'|'matched-path'|'query-path'|'text'|
     'background'|'grid'|'threshold'|'scale';
 
-/** What the segments or dots of a shape stand for, by their number. */
+/** The things that the segments or dots of a shape stand for, by their
+ * number. */
 export interface Things {
   /** Where a click leads. */
   link: (i: number) => string;
-  /** What is told of it where somebody points at it. */
+  /** Text that is shown where somebody points at it. */
   tip: (i: number) => string;
   /** The key of its row in the table beside the map. */
   key: (i: number) => string;
@@ -56,7 +57,7 @@ export type Shape = Strokes|Dots;
 export interface Scene {
   /** From the undermost. */
   shapes: Shape[];
-  /** What is to be seen at first; undefined if there is nothing. */
+  /** The part that is to be seen at first; undefined if there is nothing. */
   box: Box|undefined;
 }
 
@@ -143,8 +144,8 @@ export function selectedIn({shapes}: Scene, view: View, key: string|undefined):
 
 const REACH_PIXELS = 6;
 
-/** What lies at these pixels of a map: the nearest thing within reach, of those
- * that are drawn last first. */
+/** Finds what lies at these pixels of a map: the nearest thing within reach, of
+ * those that are drawn last first. */
 export function hitAt(scene: Scene, view: View, px: number, py: number):
     Hit|undefined {
   const x = view.x + (px - view.width / 2) * view.metersPerPixel;

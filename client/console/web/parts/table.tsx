@@ -9,7 +9,7 @@ export interface Column<Row> {
   cell: (row: Row) => ComponentChildren;
   /** Numbers are aligned at their right. */
   number?: boolean;
-  /** What rows are sorted by where somebody chooses the column. */
+  /** Rows are sorted by this where somebody chooses the column. */
   by?: (row: Row) => number|string;
 }
 
@@ -50,7 +50,7 @@ function sorted<Row>(rows: Row[], columns: Array<Column<Row>>,
     const [x, y] = [keys.get(a)!, keys.get(b)!];
     return order.direction * (typeof x === 'string' ?
         x.localeCompare(String(y), 'en', {numeric: true}) :
-        // What is not known comes last.
+        // An unknown value comes last.
         (Number.isNaN(x) ? Infinity : x) - (Number.isNaN(y as number) ?
             Infinity : y as number) || 0);
   });

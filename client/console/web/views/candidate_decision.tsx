@@ -66,8 +66,8 @@ function DecisionLine({store, pair, decision}:
   );
 }
 
-/** What was done in this page, the last first, so that an answer that comes
- * late or not at all is seen from every pair. */
+/** Shows what was done in this page, the last first, so that an answer that
+ * comes late or not at all is seen from every pair. */
 function Deeds({store, deeds}: {store: VehicleStore, deeds: Deed[]}) {
   if (deeds.length === 0) return null;
   return (

@@ -217,7 +217,7 @@ function Slider({newest, at, live}: SliderProps) {
   );
 }
 
-/** What is drawn unless the address says otherwise. */
+/** These are drawn unless the address says otherwise. */
 const SHOWN_AT_FIRST = ['ellipse', 'accepted'];
 
 function shownIn(filters: URLSearchParams): Set<string> {
