@@ -167,6 +167,59 @@ test('every decided pair can be looked at after a reload', async () => {
   }
 });
 
+test('a key counts as soon as the panel is there', async () => {
+  const early = await world.browser.newContext();
+  const other = await early.newPage();
+  // Before any frame is drawn, and long before what waits for one.
+  await other.addInitScript(() => {
+    new MutationObserver((_, observer) => {
+      if (!document.querySelector('.decision')) return;
+      observer.disconnect();
+      document.body.dispatchEvent(
+          new KeyboardEvent('keydown', {key: 'n', bubbles: true}));
+      window.focused = document.activeElement.getAttribute('name');
+    }).observe(document, {childList: true, subtree: true});
+  });
+  await other.goto(`${world.console.url}/vehicles/boreas/candidates/2060-1063`);
+  await other.locator('.decision').waitFor();
+  assert.equal(await other.evaluate(() => window.focused), 'note');
+  await early.close();
+});
+
+test('nobody is led back to a pair while its decision is under way', async () => {
+  const vehicle = await world.open('/vehicles/boreas');
+  const label = vehicle.locator('.decision > label');
+  const open = async () => Number(/([\d,]+) accepted candidates are open/.exec(
+      await vehicle.locator('.decision').innerText())[1]);
+  let answer;
+  const answered = new Promise(done => answer = done);
+  await vehicle.route('**/AddLoopClosure', async route => {
+    await answered;
+    await route.continue();
+  });
+  await vehicle.getByText(/^(\d+) of \1 checks answered$/).waitFor();
+  await vehicle.locator('a.button', {hasText: 'Review'}).click();
+  await label.waitFor();
+  const [name, before] = [await label.innerText(), await open()];
+  await vehicle.keyboard.press('c');
+  await until(async () => await open() < before, 'a shorter queue');
+  const shown = new Set();
+  for (let i = 0; i <= before; ++i) {
+    const last = await label.innerText();
+    await vehicle.keyboard.press('j');
+    await until(async () => await label.innerText() !== last, 'another pair');
+    shown.add(await label.innerText());
+  }
+  assert.ok(shown.size > 1 && !shown.has(name), name);
+  answer();
+  await vehicle.locator('.deeds', {hasText: 'Confirmed'}).waitFor();
+  await vehicle.keyboard.press('u');
+  await vehicle.keyboard.press('u');
+  await vehicle.locator('.decision > [role=status]', {hasText: 'Undone'})
+      .waitFor();
+  await vehicle.context().close();
+});
+
 test('a rejection is undone after a reload, and that is named', async () => {
   await page.goto(world.console.url + '/vehicles/boreas');
   const row = page.getByRole('link', {name: /^rejected/}).first();

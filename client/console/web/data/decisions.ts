@@ -102,6 +102,11 @@ export class DecisionBook {
       () => [...this.closures.value, ...this.rejections.value]);
   /** All that this page did since it was loaded, the last at the end. */
   readonly deeds = signal<Deed[]>([]);
+  /** The pairs that are being confirmed or rejected. */
+  readonly underWay = computed(
+      () => this.deeds.value.filter(({act, state}) => act !== 'undo' &&
+                                        state === 'under way')
+                .map(({pair}) => pair));
   readonly drafts = new Drafts();
   private changes = 0;
 

@@ -146,6 +146,20 @@ export class VehicleStore {
    * with both poses at most `upTo`: the server takes rejections to be about all
    * that is within 10 m along the path. */
   decisionAbout(pair: Pair, upTo = Infinity): Decision|undefined {
+    const made = this.decisions.all.value.filter(({query}) => query <= upTo);
+    return made.find(other => keyOfPair(other) === keyOfPair(pair)) ??
+        made.find(other => this.areSamePlaces(pair, other));
+  }
+
+  /** Whether nobody has decided about a pair, or the same two places, nor is
+   * about to: whoever decides faster than the network answers is not led back to
+   * what was decided just now. */
+  isOpen(pair: Pair): boolean {
+    return !this.decisionAbout(pair) && !this.decisions.underWay.value.some(
+        other => this.areSamePlaces(pair, other));
+  }
+
+  private areSamePlaces(pair: Pair, other: Pair): boolean {
     const graph = this.graph.value;
     const separation = Math.max(
         10, this.vehicle.value?.settings?.candidateSeparationMeters ?? 0);
@@ -156,10 +170,7 @@ export class VehicleStore {
       return i >= 0 && j >= 0 &&
           Math.abs(graph.travelled[i] - graph.travelled[j]) <= separation;
     };
-    const made = this.decisions.all.value.filter(({query}) => query <= upTo);
-    return made.find(other => keyOfPair(other) === keyOfPair(pair)) ??
-        made.find(({query, matched}) => near(pair.query, query) &&
-                      near(pair.matched, matched));
+    return near(pair.query, other.query) && near(pair.matched, other.matched);
   }
 }
 

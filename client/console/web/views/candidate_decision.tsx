@@ -2,7 +2,7 @@
 // Note and outcome belong to the pair, so that what comes late is told where it
 // belongs, and nothing that was typed for one pair goes to another.
 import {signal} from '@preact/signals';
-import {useEffect, useLayoutEffect, useRef} from 'preact/hooks';
+import {useLayoutEffect, useRef} from 'preact/hooks';
 
 import {type Found, pairOf} from '../data/candidates.js';
 import {type Deed, type Decision, keyOfPair, type Pair, pairName} from
@@ -134,7 +134,9 @@ export function DecisionPanel({store, pair, queue}: Props) {
   };
   const latest = useRef(keys);
   latest.current = keys;
-  useEffect(() => {
+  // From when the panel is there: an effect that waits for a frame would lose the
+  // key of somebody who presses it as soon as the buttons are seen.
+  useLayoutEffect(() => {
     const onKey = (event: KeyboardEvent) => {
       const target = event.target as HTMLElement;
       if (event.key === 'Escape') target.blur();

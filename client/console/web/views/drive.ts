@@ -40,11 +40,11 @@ export function posesToAsk(checks: ReadonlyArray<{pose: number}>, upTo: number,
       .slice(-most).reverse();
 }
 
-/** Accepted candidates about which nobody has decided. */
+/** Accepted candidates about which nobody has decided, nor is about to. */
 export function openQueue(store: VehicleStore): Found[] {
   return allFound(store.candidates.answers.value).filter(found =>
       found.candidate.verdict === Verdict.ACCEPTED &&
-          !store.decisionAbout(pairOf(found)));
+          store.isOpen(pairOf(found)));
 }
 
 export function linkTo(store: VehicleStore, found: Found): string {

@@ -1,4 +1,5 @@
-import {useEffect, useMemo, useRef, useState} from 'preact/hooks';
+import {useEffect, useLayoutEffect, useMemo, useRef, useState} from
+    'preact/hooks';
 
 import {Verdict} from '../../gen/revisit/v1/candidate_pb.js';
 import {FindingCode, type Vehicle, VehicleState} from
@@ -307,7 +308,7 @@ function Review({store, queue}: {store: VehicleStore, queue: Found[]}) {
   const first = queue.length > 0 ? linkTo(store, queue[0]) : undefined;
   const latest = useRef(first);
   latest.current = first;
-  useEffect(() => {
+  useLayoutEffect(() => {
     const onKey = (event: KeyboardEvent) => {
       const isTyping = (event.target as HTMLElement).closest(
           'input, textarea, select, [role=region]');
