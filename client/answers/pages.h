@@ -10,9 +10,11 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "client/revisit/printable_text.h"
 #include "revisit/v1/geometry.pb.h"
+#include "revisit/v1/loop_closure.pb.h"
 
 namespace revisit::client {
 
@@ -26,6 +28,14 @@ std::string OrderOf(const Item& item) {
   return item.name();
 }
 inline std::uint64_t OrderOf(const v1::Pose& pose) { return pose.sequence(); }
+// The number that its name ends with, which becomes smaller; 0 if there is
+// none.
+inline std::int64_t OrderOf(const v1::DeletedPosePair& pair) {
+  std::int64_t number = 0;
+  const std::string& name = pair.name();
+  return absl::SimpleAtoi(name.substr(name.rfind('/') + 1), &number) ? -number
+                                                                     : 0;
+}
 
 // The pages of a list, one after the other. `list(request)` asks for a page,
 // and `items(page)` are what it holds.

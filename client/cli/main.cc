@@ -7,6 +7,7 @@
 
 #include "client/cli/commands/context_command.h"
 #include "client/cli/commands/convert_command.h"
+#include "client/cli/commands/deletions_command.h"
 #include "client/cli/commands/demo_command.h"
 #include "client/cli/commands/evaluate_command.h"
 #include "client/cli/commands/export_command.h"
@@ -64,6 +65,7 @@ void AddCommands(const Command& program, const ConnectionFlags* connection,
   AddRejectCommand(program);
   AddClosuresCommand(program);
   AddRejectionsCommand(program);
+  AddDeletionsCommand(program);
   AddPosesCommand(program);
   AddShowCommand(program);
   AddExportCommand(program);

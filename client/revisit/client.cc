@@ -151,6 +151,11 @@ Client::DeleteRejectedCandidate(
   return rep_->Unary(Retry::kNever, &Stub::DeleteRejectedCandidate, request);
 }
 
+absl::StatusOr<v1::ListDeletedPosePairsResponse> Client::ListDeletedPosePairs(
+    const v1::ListDeletedPosePairsRequest& request) const {
+  return rep_->Unary(Retry::kSafe, &Stub::ListDeletedPosePairs, request);
+}
+
 absl::StatusOr<v1::ListPosesResponse> Client::ListPoses(
     const v1::ListPosesRequest& request) const {
   return rep_->Unary(Retry::kSafe, &Stub::ListPoses, request);

@@ -92,6 +92,9 @@ class Client {
   absl::StatusOr<v1::DeleteRejectedCandidateResponse> DeleteRejectedCandidate(
       const v1::DeleteRejectedCandidateRequest& request) const;
   // Retried.
+  absl::StatusOr<v1::ListDeletedPosePairsResponse> ListDeletedPosePairs(
+      const v1::ListDeletedPosePairsRequest& request) const;
+  // Retried.
   absl::StatusOr<v1::ListPosesResponse> ListPoses(
       const v1::ListPosesRequest& request) const;
   // Not retried: it is an operator's decision about one moment.

@@ -26,6 +26,11 @@ std::string PosePairResourceName(PairKind kind, const std::string& vehicle_id,
   return absl::StrCat(VehicleName(vehicle_id), CollectionOf(kind), id);
 }
 
+std::string DeletedPairResourceName(const std::string& vehicle_id,
+                                    std::uint64_t number) {
+  return absl::StrCat(VehicleName(vehicle_id), "/deletedPosePairs/", number);
+}
+
 absl::Status CheckId(const std::string& id, const FieldPath& path) {
   const auto alphanumeric = [](char c) {
     return (c >= 'a' && c <= 'z') || (c >= '0' && c <= '9');

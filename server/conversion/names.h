@@ -2,6 +2,7 @@
 #ifndef REVISIT_SERVER_CONVERSION_NAMES_H_
 #define REVISIT_SERVER_CONVERSION_NAMES_H_
 
+#include <cstdint>
 #include <string>
 
 #include "absl/status/status.h"
@@ -18,6 +19,10 @@ std::string VehicleName(const std::string& vehicle_id);
 // `vehicles/{vehicle}/rejectedCandidates/{rejected_candidate}`.
 std::string PosePairResourceName(PairKind kind, const std::string& vehicle_id,
                                  const std::string& id);
+
+// `vehicles/{vehicle}/deletedPosePairs/{number}`.
+std::string DeletedPairResourceName(const std::string& vehicle_id,
+                                    std::uint64_t number);
 
 // INVALID_ARGUMENT (INVALID_RESOURCE_NAME) unless the id matches the pattern of
 // ids.

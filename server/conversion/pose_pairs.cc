@@ -147,4 +147,22 @@ void EncodePosePair(const std::string& vehicle_id, const PosePairRecord& record,
   EncodePair(PairKind::kRejectedCandidate, vehicle_id, record, message);
 }
 
+void EncodeDeletedPair(const std::string& vehicle_id,
+                       const DeletedPairRecord& record,
+                       v1::DeletedPosePair* message) {
+  message->set_name(DeletedPairResourceName(vehicle_id, record.number));
+  if (record.kind == PairKind::kLoopClosure) {
+    EncodePosePair(vehicle_id, record.pair, message->mutable_loop_closure());
+  } else {
+    EncodePosePair(vehicle_id, record.pair,
+                   message->mutable_rejected_candidate());
+  }
+  EncodeTime(record.delete_time_ns, message->mutable_delete_time());
+  // The checksum of the row holds, and the pair was sound before.
+  static_cast<void>(
+      ReadPairContent(record.pair.payload, [&](const PairContent& content) {
+        message->set_deleted_by(content.deleted_by);
+      }));
+}
+
 }  // namespace revisit::server

@@ -29,6 +29,9 @@ void EncodePosePair(const std::string& vehicle_id, const PosePairRecord& record,
                     v1::LoopClosure* message);
 void EncodePosePair(const std::string& vehicle_id, const PosePairRecord& record,
                     v1::RejectedCandidate* message);
+void EncodeDeletedPair(const std::string& vehicle_id,
+                       const DeletedPairRecord& record,
+                       v1::DeletedPosePair* message);
 
 }  // namespace revisit::server
 

@@ -15,6 +15,7 @@ std::string EncodePairContent(const PairContent& content) {
   stored.set_note(content.note);
   if (content.score) stored.set_score(*content.score);
   stored.set_decided_by(content.decided_by);
+  stored.set_deleted_by(content.deleted_by);
   return stored.SerializeAsString();
 }
 
@@ -32,6 +33,7 @@ absl::Status ReadPairContent(
   content.note = stored.note();
   if (stored.has_score()) content.score = stored.score();
   content.decided_by = stored.decided_by();
+  content.deleted_by = stored.deleted_by();
   read(content);
   return absl::OkStatus();
 }
@@ -48,6 +50,15 @@ bool PairContentsSayTheSame(const std::string& payload,
   content.clear_decided_by();
   other_content.clear_decided_by();
   return content.SerializeAsString() == other_content.SerializeAsString();
+}
+
+std::string PairContentWithDeleter(const std::string& payload,
+                                   const std::string& deleted_by) {
+  stored::PosePairContent stored;
+  // A payload that does not decode was found when the vehicle was loaded.
+  static_cast<void>(stored.ParseFromString(payload));
+  stored.set_deleted_by(deleted_by);
+  return stored.SerializeAsString();
 }
 
 absl::StatusOr<std::optional<core::LoopMeasurement>> DecodePairMeasurement(

@@ -23,6 +23,8 @@ struct PairContent {
   std::optional<double> score;
   // The caller who decided (Caller::identity); empty if that is not known.
   std::string decided_by;
+  // The caller who deleted it, likewise. Only deleted ones have one.
+  std::string deleted_by;
 };
 
 // Empty if there is no content.
@@ -37,6 +39,10 @@ absl::Status ReadPairContent(
 // Implements RecordCodec::SayTheSame().
 bool PairContentsSayTheSame(const std::string& payload,
                             const std::string& other);
+
+// Implements RecordCodec::WithDeleter().
+std::string PairContentWithDeleter(const std::string& payload,
+                                   const std::string& deleted_by);
 
 // Implements RecordCodec::DecodeMeasurement().
 absl::StatusOr<std::optional<core::LoopMeasurement>> DecodePairMeasurement(

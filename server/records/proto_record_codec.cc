@@ -154,6 +154,11 @@ bool ProtoRecordCodec::SayTheSame(const std::string& payload,
   return PairContentsSayTheSame(payload, other);
 }
 
+std::string ProtoRecordCodec::WithDeleter(const std::string& payload,
+                                          const std::string& deleted_by) const {
+  return PairContentWithDeleter(payload, deleted_by);
+}
+
 // ---- Batches
 
 absl::StatusOr<DecodedBatch> ProtoRecordCodec::DecodeBatch(

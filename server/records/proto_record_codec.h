@@ -36,6 +36,8 @@ class ProtoRecordCodec : public RecordCodec {
       const std::string& payload, core::StateSpace space) const override;
   bool SayTheSame(const std::string& payload,
                   const std::string& other) const override;
+  std::string WithDeleter(const std::string& payload,
+                          const std::string& deleted_by) const override;
   absl::StatusOr<std::string> SliceBatch(const std::string& payload,
                                          std::size_t first,
                                          std::size_t count) const override;

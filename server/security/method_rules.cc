@@ -15,6 +15,7 @@ constexpr MethodRule kRules[] = {
     {"FindCandidates", Verb::kRead},
     {"GetServerInfo", std::nullopt},
     {"GetVehicle", Verb::kRead},
+    {"ListDeletedPosePairs", Verb::kRead},
     {"ListLoopClosures", Verb::kRead},
     {"ListPoses", Verb::kRead},
     {"ListRejectedCandidates", Verb::kRead},

@@ -129,6 +129,13 @@ grpc::ServerUnaryReactor* PoseGraphService::DeleteRejectedCandidate(
                server::DeleteRejectedCandidate, call, request, response);
 }
 
+grpc::ServerUnaryReactor* PoseGraphService::ListDeletedPosePairs(
+    grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+    grpc::ByteBuffer* response) {
+  return Begin(service_, "ListDeletedPosePairs", server::ListDeletedPosePairs,
+               call, request, response);
+}
+
 grpc::ServerReadReactor<grpc::ByteBuffer>* PoseGraphService::RevisePoses(
     grpc::CallbackServerContext* call, grpc::ByteBuffer* response) {
   return StartRevision(call, service_, response);

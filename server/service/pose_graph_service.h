@@ -42,7 +42,8 @@ template <typename Base>
 using WithCandidates = Service::WithRawCallbackMethod_FindCandidates<
     Service::WithRawCallbackMethod_RejectCandidate<
         Service::WithRawCallbackMethod_ListRejectedCandidates<
-            Service::WithRawCallbackMethod_DeleteRejectedCandidate<Base>>>>;
+            Service::WithRawCallbackMethod_DeleteRejectedCandidate<
+                Service::WithRawCallbackMethod_ListDeletedPosePairs<Base>>>>>;
 template <typename Base>
 using WithOperations = Service::WithRawCallbackMethod_AcceptDataLoss<
     Service::WithRawCallbackMethod_GetServerInfo<Base>>;
@@ -95,6 +96,9 @@ class PoseGraphService final : public service_internal::AllMethods {
       grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
       grpc::ByteBuffer* response) override;
   grpc::ServerUnaryReactor* DeleteRejectedCandidate(
+      grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+      grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* ListDeletedPosePairs(
       grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
       grpc::ByteBuffer* response) override;
   grpc::ServerReadReactor<grpc::ByteBuffer>* RevisePoses(

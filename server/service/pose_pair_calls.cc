@@ -5,6 +5,7 @@
 #include <optional>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "absl/status/statusor.h"
 #include "absl/strings/str_cat.h"
@@ -123,6 +124,7 @@ absl::Status DeletePair(const ServiceContext& service, const UnaryCallPtr& call,
   service.fleet->Session(parsed->vehicle_id)
       ->DeletePosePair(
           kind, parsed->id,
+          {NowNanoseconds(), call->rights().caller().identity},
           FinishWith<std::uint64_t>(
               call, [=, counts = service.counts](std::uint64_t revision) {
                 counts->Decided(kind == PairKind::kLoopClosure
@@ -131,6 +133,32 @@ absl::Status DeletePair(const ServiceContext& service, const UnaryCallPtr& call,
                 response->set_revision(revision);
                 return absl::OkStatus();
               }));
+  return absl::OkStatus();
+}
+
+// Fills a page with deleted pairs, of which `all` are there, whose numbers are
+// below `before`; 0 means all. As in ListPairs(), a page of its own says what
+// is wrong with others.
+absl::Status FillPage(const std::string& vehicle_id,
+                      const std::vector<DeletedPairRecord>& all,
+                      absl::Status damage, std::uint64_t before, int page_size,
+                      const std::string& list,
+                      v1::ListDeletedPosePairsResponse* response) {
+  std::uint64_t last = 0;
+  for (const DeletedPairRecord& deleted : all) {
+    damage.Update(deleted.pair.damage);
+    const bool is_past = before > 0 && deleted.number >= before;
+    if (is_past || !deleted.pair.damage.ok()) continue;
+    if (response->deleted_pose_pairs_size() == page_size) {
+      response->set_next_page_token(MakePageToken(list, last));
+      return absl::OkStatus();
+    }
+    EncodeDeletedPair(vehicle_id, deleted, response->add_deleted_pose_pairs());
+    last = deleted.number;
+  }
+  if (damage.ok()) return absl::OkStatus();
+  if (last == 0) return damage;
+  response->set_next_page_token(MakePageToken(list, last));
   return absl::OkStatus();
 }
 
@@ -189,6 +217,38 @@ absl::Status DeleteRejectedCandidate(
     v1::DeleteRejectedCandidateResponse* response) {
   return DeletePair(service, call, PairKind::kRejectedCandidate, request.name(),
                     response);
+}
+
+absl::Status ListDeletedPosePairs(
+    const ServiceContext& service, const UnaryCallPtr& call,
+    const v1::ListDeletedPosePairsRequest& request,
+    v1::ListDeletedPosePairsResponse* response) {
+  const auto session = SessionOf(service, request.parent(),
+                                 kRequest.Field("parent"), call.get());
+  if (!session.ok()) return session.status();
+  const std::string list =
+      absl::StrCat("ListDeletedPosePairs ", request.parent());
+  const absl::StatusOr<int> page_size = PageSize(request.page_size(), 100, 500);
+  if (!page_size.ok()) return page_size.status();
+  const absl::StatusOr<std::uint64_t> before =
+      ParseSequenceToken(list, request.page_token());
+  if (!before.ok()) return before.status();
+  const std::weak_ptr<VehicleSession> loaded = *session;
+  (*session)->ReadStored(FinishWith<VehicleView>(
+      call, [=, storage = service.storage](const VehicleView& view) {
+        const auto all = storage->ListDeletedPairs(view.key);
+        absl::Status status = all.status();
+        if (all.ok()) {
+          status = FillPage(view.id, *all, view.damage, *before, *page_size,
+                            list, response);
+        }
+        const auto still_there = loaded.lock();
+        if (absl::IsDataLoss(status) && still_there != nullptr) {
+          still_there->LoadAnew();
+        }
+        return status;
+      }));
+  return absl::OkStatus();
 }
 
 }  // namespace revisit::server

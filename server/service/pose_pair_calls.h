@@ -40,6 +40,11 @@ absl::Status DeleteRejectedCandidate(
     const v1::DeleteRejectedCandidateRequest& request,
     v1::DeleteRejectedCandidateResponse* response);
 
+absl::Status ListDeletedPosePairs(
+    const ServiceContext& service, const UnaryCallPtr& call,
+    const v1::ListDeletedPosePairsRequest& request,
+    v1::ListDeletedPosePairsResponse* response);
+
 }  // namespace revisit::server
 
 #endif  // REVISIT_SERVER_SERVICE_POSE_PAIR_CALLS_H_

@@ -486,7 +486,7 @@ void Changes::TakeOnLastPair(
 }
 
 void Changes::DeletePosePair(
-    PairKind kind, const std::string& id,
+    PairKind kind, const std::string& id, const PairDeletion& deletion,
     const std::function<void(absl::StatusOr<std::uint64_t>)>& callback) {
   if (absl::Status status = vehicle_->Writable(); !status.ok()) {
     callback(status);
@@ -499,8 +499,14 @@ void Changes::DeletePosePair(
   }
   const std::uint64_t next = vehicle_->head.revision() + 1;
   const auto write = [&](Storage::Done done) {
-    vehicle_->storage->DeletePosePair(vehicle_->head.key(), kind, id, next,
-                                      std::move(done));
+    DeletedPairRecord deleted;
+    deleted.kind = kind;
+    deleted.pair = found->second;
+    deleted.pair.payload = vehicle_->codec->WithDeleter(found->second.payload,
+                                                        deletion.deleted_by);
+    deleted.delete_time_ns = deletion.time_ns;
+    vehicle_->storage->DeletePosePair(vehicle_->head.key(), std::move(deleted),
+                                      next, std::move(done));
   };
   const auto take_back = [this, kind, pair = found->second, next,
                           callback](const absl::Status& status) {

@@ -62,6 +62,12 @@ struct AddedPair {
   bool is_new = false;
 };
 using PairCallback = std::function<void(absl::StatusOr<AddedPair>)>;
+// Who deletes a pair, and when.
+struct PairDeletion {
+  std::int64_t time_ns = 0;  // Since the Unix epoch.
+  // Caller::identity.
+  std::string deleted_by = std::string();
+};
 
 // Contracts of the methods: see those of VehicleSession. Belongs to the strand.
 class Changes {
@@ -89,7 +95,7 @@ class Changes {
   void AddPosePair(PairKind kind, PosePairRecord pair,
                    const PairCallback& callback);
   void DeletePosePair(
-      PairKind kind, const std::string& id,
+      PairKind kind, const std::string& id, const PairDeletion& deletion,
       const std::function<void(absl::StatusOr<std::uint64_t>)>& callback);
   void Delete(const std::function<void(absl::Status)>& callback);
   // The stored poses have damage that was not known: the vehicle leaves, to be

@@ -68,6 +68,9 @@ class RecordCodec {
   // Whether the payloads of two pairs say the same, whoever decided.
   virtual bool SayTheSame(const std::string& payload,
                           const std::string& other) const = 0;
+  // The payload of a pair, from when this caller has deleted it on.
+  virtual std::string WithDeleter(const std::string& payload,
+                                  const std::string& deleted_by) const = 0;
   // A part of a stored batch: the poses from index `first` on, `count` of them,
   // encoded as a batch of their own.
   virtual absl::StatusOr<std::string> SliceBatch(const std::string& payload,

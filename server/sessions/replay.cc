@@ -65,6 +65,8 @@ absl::Status Replayer::StartLoad() {
         LoadPairs(kind, config->drive.state_space, &measured);
     if (!read.ok()) return read;
   }
+  const absl::Status looked = LookAtDeletedPairs();
+  if (!looked.ok()) return looked;
   const bool is_sound = record->damage.ok() && !config->damaged;
   Start(*std::move(config), record->revision, /*is_load=*/true,
         std::move(measured), [this](const absl::Status& status) {
@@ -169,6 +171,22 @@ absl::Status Replayer::LoadPairs(PairKind kind, core::StateSpace space,
       if (!sound.ok()) vehicle_->head.NoteDamage(sound);
     }
   }
+}
+
+absl::Status Replayer::LookAtDeletedPairs() {
+  const absl::StatusOr<std::vector<DeletedPairRecord>> all =
+      vehicle_->storage->ListDeletedPairs(vehicle_->head.key());
+  if (absl::IsDataLoss(all.status())) {
+    vehicle_->head.NoteDamage(all.status());
+    return absl::OkStatus();
+  }
+  if (!all.ok()) return all.status();
+  for (const DeletedPairRecord& deleted : *all) {
+    if (!deleted.pair.damage.ok()) {
+      vehicle_->head.NoteDamage(deleted.pair.damage);
+    }
+  }
+  return absl::OkStatus();
 }
 
 // Nothing was measured of rejected candidates: they are only seen to decode.

@@ -76,6 +76,9 @@ class Replayer {
   // Reads the pairs of one kind; what was measured of them is decoded once.
   absl::Status LoadPairs(PairKind kind, core::StateSpace space,
                          MeasuredLoops* measured);
+  // Reads those that were deleted, which are not kept in memory, to know that
+  // they are sound.
+  absl::Status LookAtDeletedPairs();
   // Takes a pair, or says what is wrong with it.
   absl::Status TakePair(PairKind kind, core::StateSpace space,
                         const PosePairRecord& pair, MeasuredLoops* measured);

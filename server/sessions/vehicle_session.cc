@@ -221,13 +221,14 @@ void VehicleSession::AddPosePair(PairKind kind, PosePairRecord pair,
 }
 
 void VehicleSession::DeletePosePair(
-    PairKind kind, std::string id,
+    PairKind kind, std::string id, PairDeletion deletion,
     std::function<void(absl::StatusOr<std::uint64_t>)> callback) {
-  state_->SubmitAlone(
-      std::move(callback),
-      [state = state_.get(), kind, id = std::move(id)](const auto& answer) {
-        state->changes.DeletePosePair(kind, id, answer);
-      });
+  state_->SubmitAlone(std::move(callback),
+                      [state = state_.get(), kind, id = std::move(id),
+                       deletion = std::move(deletion)](const auto& answer) {
+                        state->changes.DeletePosePair(kind, id, deletion,
+                                                      answer);
+                      });
 }
 
 void VehicleSession::Delete(std::function<void(absl::Status)> callback) {

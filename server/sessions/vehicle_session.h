@@ -133,9 +133,11 @@ class VehicleSession {
   // of RecordCodec::DecodeMeasurement(). REQUIRES: 1 <= matched_sequence <
   // query_sequence.
   void AddPosePair(PairKind kind, PosePairRecord pair, PairCallback callback);
-  // Answers the revision. NOT_FOUND (WordsOf(kind).not_found) if there is none.
+  // Answers the revision. The pair is kept among the deleted ones
+  // (Storage::DeletePosePair()). NOT_FOUND (WordsOf(kind).not_found) if there
+  // is none.
   void DeletePosePair(
-      PairKind kind, std::string id,
+      PairKind kind, std::string id, PairDeletion deletion,
       std::function<void(absl::StatusOr<std::uint64_t>)> callback);
 
   // Deletes the vehicle. All later calls answer NOT_FOUND.

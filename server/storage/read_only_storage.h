@@ -53,7 +53,7 @@ class ReadOnlyStorage final : public Reader {
                    Done done) override {
     done(Refusal());
   }
-  void DeletePosePair(VehicleKey, PairKind, std::string, std::uint64_t,
+  void DeletePosePair(VehicleKey, DeletedPairRecord, std::uint64_t,
                       Done done) override {
     done(Refusal());
   }

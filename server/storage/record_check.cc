@@ -153,6 +153,32 @@ void CheckPosePairRow(std::int64_t format, std::int64_t checksum,
                {{"vehicle", vehicle_id}, {words.field, Printable(pair->id)}});
 }
 
+void CheckDeletedPairRow(std::int64_t format, std::int64_t checksum,
+                         VehicleKey key, std::int64_t kind,
+                         const std::string& vehicle_id,
+                         DeletedPairRecord* deleted) {
+  deleted->kind = kind == NumberOf(PairKind::kLoopClosure)
+                      ? PairKind::kLoopClosure
+                      : PairKind::kRejectedCandidate;
+  const std::string what = "stored deletion " +
+                           std::to_string(deleted->number) + " of vehicle '" +
+                           vehicle_id + "'";
+  const ErrorMetadata metadata = {{"vehicle", vehicle_id}};
+  deleted->pair.damage =
+      kind == NumberOf(deleted->kind)
+          ? CheckRow(format, checksum,
+                     ChecksumOfDeletedPair(format, key, *deleted), what,
+                     metadata)
+          : Corrupt(what + " is one of no kind", metadata);
+}
+
+absl::StatusOr<std::uint64_t> NumberAfter(std::int64_t number) {
+  if (number < 0 || number == std::numeric_limits<std::int64_t>::max()) {
+    return Corrupt("the number of a stored deletion is damaged");
+  }
+  return Unsigned(number) + 1;
+}
+
 absl::Status CheckSnapshotRow(std::int64_t format, std::int64_t checksum,
                               VehicleKey key, const SnapshotRecord& snapshot) {
   return CheckRow(format, checksum, ChecksumOfSnapshot(format, key, snapshot),

@@ -68,6 +68,14 @@ inline constexpr std::int64_t kMostClaimedPoses = 1'000'000;
 void CheckPosePairRow(std::int64_t format, std::int64_t checksum,
                       VehicleKey key, PairKind kind,
                       const std::string& vehicle_id, PosePairRecord* pair);
+// Sets kind and damage of a record whose other members are as they were read.
+void CheckDeletedPairRow(std::int64_t format, std::int64_t checksum,
+                         VehicleKey key, std::int64_t kind,
+                         const std::string& vehicle_id,
+                         DeletedPairRecord* deleted);
+// The number of the next pair that is deleted, after this one. DATA_LOSS
+// (STORE_CORRUPT) if there is none, since the number is damaged.
+absl::StatusOr<std::uint64_t> NumberAfter(std::int64_t number);
 
 // DATA_LOSS (STORE_CORRUPT) unless the row is sound. `snapshot` is as in
 // ChecksumOfSnapshotPart().

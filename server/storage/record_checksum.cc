@@ -84,6 +84,22 @@ std::int64_t ChecksumOfPosePair(std::int64_t format, VehicleKey key,
       .Digest();
 }
 
+std::int64_t ChecksumOfDeletedPair(std::int64_t format, VehicleKey key,
+                                   const DeletedPairRecord& row) {
+  return Hasher('D')
+      .Add(key)
+      .Add(row.number)
+      .Add(NumberOf(row.kind))
+      .Add(row.pair.id)
+      .Add(format)
+      .Add(row.pair.query_sequence)
+      .Add(row.pair.matched_sequence)
+      .Add(row.pair.create_time_ns)
+      .Add(row.delete_time_ns)
+      .Add(row.pair.payload)
+      .Digest();
+}
+
 std::int64_t ChecksumOfSnapshot(std::int64_t format, VehicleKey key,
                                 const SnapshotRecord& row) {
   return Hasher('S')

@@ -10,10 +10,10 @@
 namespace revisit::server {
 
 // XXH3, 64 bits, seed 0, over every column of a row: a letter for the table
-// ('V', 'B', 'R', 'L', 'N', 'S', 'P'), then the columns in the order of the
-// schema, integers as 8 bytes little-endian, text and blobs as their size (8
-// bytes) and their bytes. The columns include format version and vehicle key,
-// so a row that ended up in another place fails too. It finds damage, not
+// ('V', 'B', 'R', 'L', 'N', 'D', 'S', 'P'), then the columns in the order of
+// the schema, integers as 8 bytes little-endian, text and blobs as their size
+// (8 bytes) and their bytes. The columns include format version and vehicle
+// key, so a row that ended up in another place fails too. It finds damage, not
 // malice. The 64 bits are stored as SQLite's signed integer.
 std::int64_t ChecksumOfVehicle(std::int64_t format, const VehicleRecord& row);
 std::int64_t ChecksumOfBatch(std::int64_t format, VehicleKey key,
@@ -24,6 +24,8 @@ std::int64_t ChecksumOfBatch(std::int64_t format, VehicleKey key,
 inline constexpr std::int64_t kSharedRowFormat = 4;
 std::int64_t ChecksumOfPosePair(std::int64_t format, VehicleKey key,
                                 PairKind kind, const PosePairRecord& row);
+std::int64_t ChecksumOfDeletedPair(std::int64_t format, VehicleKey key,
+                                   const DeletedPairRecord& row);
 
 std::int64_t ChecksumOfSnapshot(std::int64_t format, VehicleKey key,
                                 const SnapshotRecord& row);

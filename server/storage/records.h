@@ -14,7 +14,7 @@ namespace revisit::server {
 // Version of the tables and of how payloads are written. A field that is added
 // to a payload needs no new version: older servers ignore it, newer ones take
 // its absence for its default.
-inline constexpr int kStoreFormat = 5;
+inline constexpr int kStoreFormat = 6;
 // The oldest that is read, and brought to this one: that of release 0.1.0.
 inline constexpr int kOldestStoreFormat = 4;
 
@@ -67,6 +67,11 @@ enum class PairKind { kLoopClosure, kRejectedCandidate };
 inline constexpr PairKind kPairKinds[] = {PairKind::kLoopClosure,
                                           PairKind::kRejectedCandidate};
 
+// The number that stands for a kind in rows.
+constexpr std::int64_t NumberOf(PairKind kind) {
+  return kind == PairKind::kLoopClosure ? 1 : 2;
+}
+
 struct PosePairRecord {
   std::string id;
   std::uint64_t query_sequence = 0;
@@ -100,6 +105,19 @@ constexpr PairWords WordsOf(PairKind kind) {
                    "rejectedCandidates",        "note",
                    "REJECTED_CANDIDATE_EXISTS", "REJECTED_CANDIDATE_NOT_FOUND"};
 }
+
+// Pairs that were deleted, of which a storage keeps the last of each vehicle.
+inline constexpr int kMostDeletedPairs = 1000;
+
+struct DeletedPairRecord {
+  // Grows with each deletion of the vehicle, from 1 on. Given by the storage.
+  std::uint64_t number = 0;
+  PairKind kind = PairKind::kLoopClosure;
+  // As it was, with the payload that it has from then on. DATA_LOSS is its
+  // `damage` if the row is damaged: then only the number is set.
+  PosePairRecord pair;
+  std::int64_t delete_time_ns = 0;  // Since the Unix epoch.
+};
 
 // A graph that the poses of a vehicle make, as bytes that the storage does not
 // interpret: the first `part_count` of the parts that are kept, and a payload.

@@ -140,12 +140,16 @@ class Storage {
   // ALREADY_EXISTS (WordsOf(kind).exists) if the id is taken.
   virtual void AddPosePair(VehicleKey key, PairKind kind, PosePairRecord pair,
                            std::uint64_t revision, Done done) = 0;
-  // NOT_FOUND (WordsOf(kind).not_found) if there is no such pair.
-  virtual void DeletePosePair(VehicleKey key, PairKind kind, std::string id,
+  // Removes the pair with the kind and the id of the record, and keeps that
+  // record in its place, but for its number: the last kMostDeletedPairs stay,
+  // until the vehicle is deleted. NOT_FOUND (WordsOf(kind).not_found) if there
+  // is no such pair.
+  virtual void DeletePosePair(VehicleKey key, DeletedPairRecord deleted,
                               std::uint64_t revision, Done done) = 0;
 
   // Gives up damaged rows: removes all poses after `last_sequence`, pairs that
-  // name such a pose, and damaged pairs, and sets the payload.
+  // name such a pose, and damaged pairs, deleted ones too, and sets the
+  // payload.
   // FAILED_PRECONDITION unless a batch ends at `last_sequence`, or it is 0.
   virtual void DropDamaged(VehicleKey key, std::uint64_t last_sequence,
                            std::string payload, std::uint64_t revision,
@@ -247,6 +251,9 @@ class Storage {
   virtual absl::StatusOr<std::vector<PosePairRecord>> ListPosePairs(
       VehicleKey key, PairKind kind, const std::string& after_id,
       int limit) = 0;
+  // The pairs that were deleted and are kept, the last one first.
+  virtual absl::StatusOr<std::vector<DeletedPairRecord>> ListDeletedPairs(
+      VehicleKey key) = 0;
 
   // OK if the next write is likely to be taken; otherwise what it would be
   // refused with: RESOURCE_EXHAUSTED (STORAGE_FULL), or UNAVAILABLE

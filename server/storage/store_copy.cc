@@ -58,7 +58,11 @@ class Copier {
           });
       if (!status.ok()) return status;
     }
-    return absl::OkStatus();
+    return VisitDeletedPairs(
+        source_, vehicle.key, [&](const DeletedPairRecord& deleted) {
+          ++report_.deleted_pairs;
+          return destination_->AddDeletedPair(vehicle.key, deleted);
+        });
   }
 
   absl::StatusOr<std::vector<BatchRecord>> Read(const VehicleRecord& vehicle,

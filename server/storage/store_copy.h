@@ -27,6 +27,9 @@ class StoreIntake {
                                 const std::optional<BatchRecord>& revised) = 0;
   virtual absl::Status AddPosePair(VehicleKey key, PairKind kind,
                                    const PosePairRecord& pair) = 0;
+  // The record's own number is kept.
+  virtual absl::Status AddDeletedPair(VehicleKey key,
+                                      const DeletedPairRecord& deleted) = 0;
   virtual absl::Status Commit() = 0;
 };
 

@@ -42,7 +42,10 @@ absl::Status CountVehicle(Storage& storage, const std::string& id,
         });
     if (!read.ok()) return read;
   }
-  return absl::OkStatus();
+  return VisitDeletedPairs(storage, record->key, [&](const DeletedPairRecord&) {
+    ++counts->deleted_pairs;
+    return absl::OkStatus();
+  });
 }
 
 // Whether the snapshot is the one that was read before.
@@ -60,7 +63,8 @@ bool HoldTheSame(const StoreReport& a, const StoreReport& b) {
   return a.vehicles == b.vehicles && a.batches == b.batches &&
          a.poses == b.poses && a.revised_batches == b.revised_batches &&
          a.loop_closures == b.loop_closures &&
-         a.rejected_candidates == b.rejected_candidates;
+         a.rejected_candidates == b.rejected_candidates &&
+         a.deleted_pairs == b.deleted_pairs;
 }
 
 absl::Status VisitPosePairs(
@@ -80,6 +84,18 @@ absl::Status VisitPosePairs(
   }
 }
 
+absl::Status VisitDeletedPairs(
+    Storage& storage, VehicleKey key,
+    const std::function<absl::Status(const DeletedPairRecord&)>& visit) {
+  const auto all = storage.ListDeletedPairs(key);
+  if (!all.ok()) return all.status();
+  for (const DeletedPairRecord& deleted : *all) {
+    if (!deleted.pair.damage.ok()) return deleted.pair.damage;
+    if (absl::Status status = visit(deleted); !status.ok()) return status;
+  }
+  return absl::OkStatus();
+}
+
 absl::Status ReportVehicle(Storage& storage, const std::string& id,
                            StoreReport* report) {
   StoreReport counts;
@@ -90,6 +106,7 @@ absl::Status ReportVehicle(Storage& storage, const std::string& id,
   report->poses += counts.poses;
   report->loop_closures += counts.loop_closures;
   report->rejected_candidates += counts.rejected_candidates;
+  report->deleted_pairs += counts.deleted_pairs;
   if (!status.ok()) {
     report->problems.push_back("vehicle '" + Printable(id) +
                                "': " + std::string(status.message()));

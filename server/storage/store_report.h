@@ -22,6 +22,7 @@ struct StoreReport {
   std::int64_t revised_batches = 0;
   std::int64_t loop_closures = 0;
   std::int64_t rejected_candidates = 0;
+  std::int64_t deleted_pairs = 0;
   std::int64_t snapshots = 0;
   // Problems for people to read, each in one line.
   std::vector<std::string> problems;
@@ -41,6 +42,10 @@ bool HoldTheSame(const StoreReport& a, const StoreReport& b);
 absl::Status VisitPosePairs(
     Storage& storage, VehicleKey key, PairKind kind,
     const std::function<absl::Status(const PosePairRecord&)>& visit);
+// The same of the pairs that were deleted, the last one first.
+absl::Status VisitDeletedPairs(
+    Storage& storage, VehicleKey key,
+    const std::function<absl::Status(const DeletedPairRecord&)>& visit);
 
 // Reads all of a vehicle, both versions of its batches, and adds what there is
 // to the report's counts, or, if it cannot be read, to its problems. A vehicle

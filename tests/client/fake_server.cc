@@ -398,6 +398,30 @@ grpc::Status FakeServer::DeleteLoopClosure(
   return NextUnaryStatus();
 }
 
+grpc::Status FakeServer::ListDeletedPosePairs(
+    grpc::ServerContext*, const v1::ListDeletedPosePairsRequest* request,
+    v1::ListDeletedPosePairsResponse* response) {
+  const std::string names = request->parent() + Said() + "/deletedPosePairs/";
+  v1::DeletedPosePair* const deleted = response->add_deleted_pose_pairs();
+  if (request->page_token().empty()) {
+    deleted->set_name(names + "10");
+    deleted->set_deleted_by("token:tom" + Said());
+    v1::LoopClosure* const closure = deleted->mutable_loop_closure();
+    closure->set_query_sequence(150);
+    closure->set_matched_sequence(20);
+    closure->set_decided_by("token:eva" + Said());
+    response->set_next_page_token("second page");
+  } else {
+    deleted->set_name(names + "9");
+    deleted->mutable_rejected_candidate()->set_query_sequence(160);
+    deleted->mutable_rejected_candidate()->set_note("a bridge\n\tabove" +
+                                                    Said());
+  }
+  EndPage(request->page_token(), response->mutable_deleted_pose_pairs(),
+          response);
+  return NextUnaryStatus();
+}
+
 grpc::Status FakeServer::ListPoses(grpc::ServerContext*,
                                    const v1::ListPosesRequest* request,
                                    v1::ListPosesResponse* response) {

@@ -150,6 +150,10 @@ class FakeServer final : public v1::PoseGraphService::Service {
   grpc::Status DeleteRejectedCandidate(
       grpc::ServerContext*, const v1::DeleteRejectedCandidateRequest*,
       v1::DeleteRejectedCandidateResponse*) override;
+  // Two pages: the loop closure 150-20, and a rejection before it.
+  grpc::Status ListDeletedPosePairs(grpc::ServerContext*,
+                                    const v1::ListDeletedPosePairsRequest*,
+                                    v1::ListDeletedPosePairsResponse*) override;
   // Two pages: 150-20; 160-30 and another of the same poses.
   grpc::Status ListLoopClosures(grpc::ServerContext*,
                                 const v1::ListLoopClosuresRequest*,

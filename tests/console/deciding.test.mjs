@@ -3,7 +3,7 @@
 import assert from 'node:assert/strict';
 import {after, before, test} from 'node:test';
 
-import {DRIVE, until, World} from './world.mjs';
+import {DRIVE, isAccessible, until, World} from './world.mjs';
 
 const DECISIONS = 50;
 const RELOAD_EVERY = 9;
@@ -227,13 +227,57 @@ test('a rejection is undone after a reload, and that is named', async () => {
   await row.click();
   await page.locator('.state-line', {hasText: 'rejected'}).waitFor();
   const before = stored();
+  const lists = [];
+  page.on('request', request => lists.push(request.url().split('/').at(-1)));
   await page.keyboard.press('u');
   await page.locator('.decision > [role=status]', {
     hasText: `Undone: rejected ${name}.`}).waitFor();
   await page.getByText('Nobody has decided about this pair').waitFor();
+  await until(() => lists.includes('ListRejectedCandidates'), 'what is left');
+  assert.ok(!lists.includes('ListDeletedPosePairs'), 'asked by nobody');
   const gone = before.filter(text => text.startsWith(`${name} r`));
   assert.equal(gone.length, 1);
   assert.deepEqual(stored(), before.filter(text => text !== gone[0]));
+});
+
+test('undone decisions are shown where somebody opens them, and kept up to date',
+     async () => {
+  const {revisitd} = world;
+  const deletions = () => revisitd.cli('deletions', 'list', 'boreas', '--json')
+                              .deletedPosePairs;
+  const vehicle = await world.open('/vehicles/boreas');
+  const rows = vehicle.getByRole('table', {name: 'Undone decisions'})
+                   .locator('tbody tr:not(.space)');
+  const asked = [];
+  vehicle.on('request', request => asked.push(request.url().split('/').at(-1)));
+  const count = deletions().length;
+  assert.ok(count > 1);
+  await vehicle.locator('.undone summary').click();
+  await rows.first().waitFor();
+  const last = deletions()[0].rejectedCandidate;
+  const cells = await rows.first().locator('td').allInnerTexts();
+  assert.deepEqual(cells.slice(0, 3), [
+    Number(last.querySequence).toLocaleString('en'),
+    Number(last.matchedSequence).toLocaleString('en'), 'rejected']);
+  assert.equal(cells[7], last.note);
+  assert.ok(asked.filter(name => name === 'ListDeletedPosePairs').length === 1);
+  await isAccessible(vehicle);
+  // Somebody else undoes one more.
+  revisitd.cli('reject', 'boreas', '2064', '300', '--note', 'mistaken');
+  await vehicle.getByRole('table', {name: 'Decisions', exact: true})
+      .getByText('mistaken').waitFor();
+  revisitd.cli('rejections', 'delete', 'boreas', '2064', '300');
+  await rows.first().getByText('mistaken').waitFor();
+  assert.equal(deletions().length, count + 1);
+  // Those who close them ask no more.
+  await vehicle.locator('.undone summary').click();
+  const before = asked.length;
+  revisitd.cli('reject', 'boreas', '2064', '300');
+  revisitd.cli('rejections', 'delete', 'boreas', '2064', '300');
+  await until(() => asked.slice(before).includes('ListRejectedCandidates'),
+              'a look at the decisions');
+  assert.ok(!asked.slice(before).includes('ListDeletedPosePairs'));
+  await vehicle.context().close();
 });
 
 test('undo at an undecided pair names the other one, and waits', async () => {

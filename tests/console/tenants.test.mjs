@@ -126,6 +126,29 @@ test('a decision says who made it, to whoever may read it', async () => {
   await page.context().close();
 });
 
+test('who may read is told who undid a decision', async () => {
+  const page = await world.open('/');
+  await signIn(page, issuer.token('acme-verifier'));
+  await page.getByText('1 of 1 vehicles').waitFor();
+  await page.goto(world.console.url + '/vehicles/acme-1');
+  await page.getByRole('link', {name: /^confirmed/}).click();
+  await page.locator('.state-line', {hasText: 'confirmed'}).waitFor();
+  await page.getByRole('button', {name: 'Undo'}).click();
+  await page.locator('.decision > [role=status]', {hasText: 'Undone: confirmed'})
+      .waitFor();
+  await signIn(page, issuer.token('acme'));
+  await page.goto(world.console.url + '/vehicles/acme-1');
+  await page.locator('.undone summary').click();
+  const cells = page.getByRole('table', {name: 'Undone decisions'})
+      .locator('tbody td');
+  await cells.first().waitFor();
+  const texts = await cells.allInnerTexts();
+  assert.deepEqual([texts[2], texts[4], texts[6]],
+                   ['confirmed', 'token:acme-verifier', 'token:acme-verifier']);
+  assert.deepEqual(page.complaints, []);
+  await page.context().close();
+});
+
 test('metrics are for those of no tenant, and others are told so', async () => {
   const page = await world.open('/server');
   await signIn(page, issuer.token('operator'));

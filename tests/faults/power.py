@@ -221,7 +221,8 @@ def make_format_4(path):
     """Only the tables are those of such a store; its rows are a test of the
     storage."""
     database = sqlite3.connect(path)
-    for table in ("snapshots", "snapshot_parts", "deleted_snapshots"):
+    for table in ("snapshots", "snapshot_parts", "deleted_snapshots",
+                  "deleted_pose_pairs"):
         database.execute(f"DROP TABLE {table}")
     database.execute("PRAGMA user_version = 4")
     database.close()

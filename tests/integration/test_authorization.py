@@ -37,6 +37,8 @@ def request_about(method, vehicle):
         "FindCandidates": lambda: api.FindCandidatesRequest(vehicle=vehicle),
         "GetServerInfo": lambda: api.GetServerInfoRequest(),
         "GetVehicle": lambda: api.GetVehicleRequest(name=vehicle),
+        "ListDeletedPosePairs": lambda: api.ListDeletedPosePairsRequest(
+            parent=vehicle),
         "ListLoopClosures": lambda: api.ListLoopClosuresRequest(
             parent=vehicle),
         "ListPoses": lambda: api.ListPosesRequest(parent=vehicle),
@@ -118,7 +120,8 @@ def test_vehicles_of_others_are_as_if_they_were_not_there(called_by, method):
 def test_verbs_are_checked_whether_the_vehicle_is_there_or_not(
         called_by, method):
     reads = {"ExportPoseGraph", "FindCandidates", "GetVehicle",
-             "ListLoopClosures", "ListPoses", "ListRejectedCandidates"}
+             "ListDeletedPosePairs", "ListLoopClosures", "ListPoses",
+             "ListRejectedCandidates"}
     admin = {"AcceptDataLoss", "DeleteVehicle"}
     needed = ("read" if method in reads else
               "admin" if method in admin else "write")

@@ -12,8 +12,8 @@ from google.protobuf import field_mask_pb2
 from caller_poses import GEODETIC, INF, INVALID, NAN, STORED, geodetic
 from stubs import api
 from wire import (
-    LOOP_CLOSURES, PAIR_KINDS, REJECTED_CANDIDATES, PoseStream, append, failure_of,
-    get, list_poses, pose, straight)
+    LOOP_CLOSURES, PAIR_KINDS, REJECTED_CANDIDATES, PoseStream, append,
+    deletions_page, failure_of, get, list_poses, pose, straight)
 
 # ---- Names
 
@@ -67,6 +67,8 @@ CALLS = {
         stub, name, 2, 1)),
     "ListRejectedCandidates": (
         "parent", lambda stub, name: REJECTED_CANDIDATES.page(stub, name)),
+    "ListDeletedPosePairs": (
+        "parent", lambda stub, name: deletions_page(stub, name)),
     "RevisePoses": ("vehicle", lambda stub, name: stub.RevisePoses(iter([
         api.RevisePosesRequest(vehicle=name, poses=straight(1))]))),
     "ListPoses": ("parent", lambda stub, name: stub.ListPoses(
@@ -341,6 +343,7 @@ PAGED = {
         api.ListPosesRequest(parent=vehicle, **fields)),
     "ListLoopClosures": LOOP_CLOSURES.page,
     "ListRejectedCandidates": REJECTED_CANDIDATES.page,
+    "ListDeletedPosePairs": deletions_page,
 }
 
 

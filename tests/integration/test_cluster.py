@@ -239,6 +239,7 @@ REQUESTS = {
                        f' "rejected_candidate": {PAIR}}}',
     "ListRejectedCandidates": '{"parent": "vehicles/ID"}',
     "DeleteRejectedCandidate": '{"name": "vehicles/ID/rejectedCandidates/one"}',
+    "ListDeletedPosePairs": '{"parent": "vehicles/ID"}',
     "ListPoses": '{"parent": "vehicles/ID"}',
     "ExportPoseGraph": '{"vehicle": "vehicles/ID"}',
     "AcceptDataLoss": '{"name": "vehicles/ID", "durable_sequence": 4}',

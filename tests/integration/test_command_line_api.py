@@ -95,6 +95,12 @@ def test_mistaken_reject_is_undone(vehicle, revisit):
     assert revisit("rejections", "delete", vehicle, 150, 20).returncode == 0
     assert listed(revisit("rejections", "list", vehicle, "--json"))[
         "rejectedCandidates"] == []
+    [undone] = listed(revisit("deletions", "list", vehicle, "--json"))[
+        "deletedPosePairs"]
+    assert undone["rejectedCandidate"] == rejected
+    assert undone["deletedBy"] == ""
+    _, row = revisit("deletions", "list", vehicle).stdout.splitlines()
+    assert row.split()[1:5] == ["-", "rejected", "150", "20"]
 
 
 def test_one_pair_is_not_both_confirmed_and_rejected(vehicle, revisit):

@@ -372,18 +372,25 @@ def test_store_of_a_newer_format_is_refused_and_left_alone(tmp_path):
         pass
     path = database_of(store)
     database = sqlite3.connect(path)
-    database.execute("PRAGMA user_version = 6")
+    database.execute("PRAGMA user_version = 7")
     database.close()
     content = path.read_bytes()
     result = run("revisitd", "--listen", "127.0.0.1:0", "--store", store)
     assert result.returncode in (73, 74)
-    assert "has format 6" in result.stderr
+    assert "has format 7" in result.stderr
     assert "use a newer server" in result.stderr
     assert path.read_bytes() == content
 
 
+# The tables that a format lacks.
+LACKING = {4: ["snapshots", "snapshot_parts", "deleted_snapshots",
+               "deleted_pose_pairs"],
+           5: ["deleted_pose_pairs"]}
+
+
 @pytest.mark.parametrize("killed", [False, True], ids=["drained", "killed"])
-def test_store_of_format_4_is_brought_up_to_date(killed, tmp_path):
+@pytest.mark.parametrize("version", LACKING)
+def test_store_of_an_older_format_is_brought_up_to_date(version, killed, tmp_path):
     # Only the tables are those of such a server; its rows are a test of the
     # storage.
     store = tmp_path / "store"
@@ -392,9 +399,9 @@ def test_store_of_format_4_is_brought_up_to_date(killed, tmp_path):
         append(server.stub(), VEHICLE, straight(10))
         before = state_of(server.stub())
     database = sqlite3.connect(database_of(store))
-    for table in ("snapshots", "snapshot_parts", "deleted_snapshots"):
+    for table in LACKING[version]:
         database.execute(f"DROP TABLE {table}")
-    database.execute("PRAGMA user_version = 4")
+    database.execute(f"PRAGMA user_version = {version}")
     database.close()
     with Server(store) as server:
         # Killed before it has written anything else, too.
@@ -403,7 +410,7 @@ def test_store_of_format_4_is_brought_up_to_date(killed, tmp_path):
     with Server(store) as server:
         stub = server.stub()
         assert state_of(stub) == before
-        assert stub.GetServerInfo(api.GetServerInfoRequest()).store_format == 5
+        assert stub.GetServerInfo(api.GetServerInfoRequest()).store_format == 6
         LOOP_CLOSURES.add(stub, VEHICLE, 9, 2)
         server.kill()
     with Server(store) as server:

@@ -150,6 +150,13 @@ REJECTED_CANDIDATES = PairKind(
 PAIR_KINDS = [LOOP_CLOSURES, REJECTED_CANDIDATES]
 
 
+def deletions_page(stub, parent, **fields):
+    """(the pairs that were deleted, token of the next page)"""
+    answer = stub.ListDeletedPosePairs(
+        api.ListDeletedPosePairsRequest(parent=parent, **fields))
+    return list(answer.deleted_pose_pairs), answer.next_page_token
+
+
 class PoseStream:
     """One StreamPoses call. What is put into it is sent as the server reads."""
 

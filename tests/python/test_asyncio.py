@@ -86,6 +86,9 @@ async def test_every_call_answers(server, boreas, tmp_path):
         assert drawn.text.startswith("<svg")
         await client.delete_loop_closure(added.loop_closure.name)
         await client.delete_rejected_candidate(rejected.name)
+        assert [one.WhichOneof("pair") async for one in
+                client.list_deleted_pose_pairs("calls")] == [
+            "rejected_candidate", "loop_closure"]
         poses = await client.poses("calls")
         poses.position[:, 1] += 1.0
         revision = (await client.get_vehicle("calls")).revision

@@ -98,6 +98,11 @@ def test_candidates_are_confirmed_and_rejected(client, new_vehicle, boreas):
     client.delete_rejected_candidate(rejected.name)
     assert list(client.list_loop_closures(vehicle)) == []
     assert list(client.list_rejected_candidates(vehicle)) == []
+    undone, before = client.list_deleted_pose_pairs(vehicle)
+    assert undone.rejected_candidate == rejected
+    assert before.loop_closure == closure
+    assert undone.delete_time.ToNanoseconds() >= before.delete_time.ToNanoseconds()
+    assert (undone.deleted_by, before.deleted_by) == ("", "")
 
 
 def test_finding_has_one_note(client, new_vehicle):

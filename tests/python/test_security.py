@@ -91,6 +91,10 @@ def test_decisions_say_who_made_them(plaintext, files):
         for pairs in (client.list_loop_closures("decided"),
                       client.list_rejected_candidates("decided")):
             assert [pair.decided_by for pair in pairs] == ["token:backend"]
+        client.delete_loop_closure("vehicles/decided/loopClosures/40-4")
+        [undone] = client.list_deleted_pose_pairs("decided")
+        assert (undone.loop_closure.decided_by, undone.deleted_by) == (
+            "token:backend", "token:backend")
 
 
 def test_tls_with_a_token(encrypted, files):

@@ -120,10 +120,10 @@ class HeldStorage : public Storage {
       storage_->AddPosePair(key, kind, pair, revision, std::move(then));
     });
   }
-  void DeletePosePair(VehicleKey key, PairKind kind, std::string id,
+  void DeletePosePair(VehicleKey key, DeletedPairRecord deleted,
                       std::uint64_t revision, Done done) override {
     Submit(std::move(done), [=](Done then) {
-      storage_->DeletePosePair(key, kind, id, revision, std::move(then));
+      storage_->DeletePosePair(key, deleted, revision, std::move(then));
     });
   }
 
@@ -214,6 +214,12 @@ class HeldStorage : public Storage {
     const absl::Status status = ReadStatus();
     if (!status.ok()) return status;
     return storage_->ListPosePairs(key, kind, after_id, limit);
+  }
+  absl::StatusOr<std::vector<DeletedPairRecord>> ListDeletedPairs(
+      VehicleKey key) override {
+    const absl::Status status = ReadStatus();
+    if (!status.ok()) return status;
+    return storage_->ListDeletedPairs(key);
   }
 
  private:

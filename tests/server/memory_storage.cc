@@ -56,6 +56,11 @@ void MemoryStorage::DamagePair(const std::string& id, PairKind kind,
   Find(id).pairs[kind].at(pair_id).damage = Damage("pair " + pair_id);
 }
 
+void MemoryStorage::DamageDeletedPair(const std::string& id) {
+  const std::lock_guard<std::mutex> guard(mutex_);
+  Find(id).deleted_pairs.at(0).pair.damage = Damage("deletion");
+}
+
 void MemoryStorage::DropDamaged(VehicleKey key, std::uint64_t last_sequence,
                                 std::string payload, std::uint64_t revision,
                                 Done done) {
@@ -81,6 +86,12 @@ void MemoryStorage::DropDamaged(VehicleKey key, std::uint64_t last_sequence,
         i = goes ? pairs.erase(i) : std::next(i);
       }
     }
+    auto& deleted = vehicle.deleted_pairs;
+    deleted.erase(std::remove_if(deleted.begin(), deleted.end(),
+                                 [](const DeletedPairRecord& one) {
+                                   return !one.pair.damage.ok();
+                                 }),
+                  deleted.end());
     return absl::OkStatus();
   }));
 }
@@ -243,14 +254,18 @@ void MemoryStorage::AddPosePair(VehicleKey key, PairKind kind,
   }));
 }
 
-void MemoryStorage::DeletePosePair(VehicleKey key, PairKind kind,
-                                   std::string id, std::uint64_t revision,
-                                   Done done) {
+void MemoryStorage::DeletePosePair(VehicleKey key, DeletedPairRecord deleted,
+                                   std::uint64_t revision, Done done) {
   done(Change(key, revision, [&](Vehicle& vehicle) {
-    return vehicle.pairs[kind].erase(id) == 1
-               ? absl::OkStatus()
-               : Error(StatusCode::kNotFound, WordsOf(kind).not_found,
-                       "no such pair");
+    if (vehicle.pairs[deleted.kind].erase(deleted.pair.id) == 0) {
+      return Error(StatusCode::kNotFound, WordsOf(deleted.kind).not_found,
+                   "no such pair");
+    }
+    auto& kept = vehicle.deleted_pairs;
+    deleted.number = kept.empty() ? 1 : kept.front().number + 1;
+    kept.push_front(deleted);
+    if (kept.size() > kMostDeletedPairs) kept.pop_back();
+    return absl::OkStatus();
   }));
 }
 
@@ -389,6 +404,15 @@ absl::StatusOr<std::vector<PosePairRecord>> MemoryStorage::ListPosePairs(
     result.push_back(i->second);
   }
   return result;
+}
+
+absl::StatusOr<std::vector<DeletedPairRecord>> MemoryStorage::ListDeletedPairs(
+    VehicleKey key) {
+  const std::lock_guard<std::mutex> guard(mutex_);
+  const auto found = vehicles_.find(key);
+  if (found == vehicles_.end()) return UnknownVehicle();
+  const auto& kept = found->second.deleted_pairs;
+  return std::vector<DeletedPairRecord>(kept.begin(), kept.end());
 }
 
 }  // namespace revisit::server

@@ -6,6 +6,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <deque>
 #include <functional>
 #include <map>
 #include <mutex>
@@ -36,7 +37,7 @@ class MemoryStorage : public Storage {
                       std::uint64_t revision, Done done) override;
   void AddPosePair(VehicleKey key, PairKind kind, PosePairRecord pair,
                    std::uint64_t revision, Done done) override;
-  void DeletePosePair(VehicleKey key, PairKind kind, std::string id,
+  void DeletePosePair(VehicleKey key, DeletedPairRecord deleted,
                       std::uint64_t revision, Done done) override;
 
   void DropDamaged(VehicleKey key, std::uint64_t last_sequence,
@@ -62,6 +63,8 @@ class MemoryStorage : public Storage {
   void DamagePose(const std::string& id, std::uint64_t sequence);
   void DamagePair(const std::string& id, PairKind kind,
                   const std::string& pair_id);
+  // The pair that was deleted last.
+  void DamageDeletedPair(const std::string& id);
 
   absl::StatusOr<VehicleRecord> GetVehicle(const std::string& id) override;
   absl::StatusOr<std::vector<VehicleRecord>> ListVehicles(
@@ -76,6 +79,8 @@ class MemoryStorage : public Storage {
   absl::StatusOr<std::vector<PosePairRecord>> ListPosePairs(
       VehicleKey key, PairKind kind, const std::string& after_id,
       int limit) override;
+  absl::StatusOr<std::vector<DeletedPairRecord>> ListDeletedPairs(
+      VehicleKey key) override;
 
  private:
   struct Batch {
@@ -88,6 +93,8 @@ class MemoryStorage : public Storage {
     std::vector<Batch> batches;
     // By kind, then by id.
     std::map<PairKind, std::map<std::string, PosePairRecord>> pairs;
+    // The last one first.
+    std::deque<DeletedPairRecord> deleted_pairs;
     std::vector<std::string> snapshot_parts;
     std::optional<SnapshotRecord> snapshot;
 

@@ -178,10 +178,10 @@ class OwnedStorage : public Storage {
     storage_->AddPosePair(key, kind, std::move(pair), revision,
                           std::move(done));
   }
-  void DeletePosePair(VehicleKey key, PairKind kind, std::string id,
+  void DeletePosePair(VehicleKey key, DeletedPairRecord deleted,
                       std::uint64_t revision, Done done) override {
     if (Refuses(key, done)) return;
-    storage_->DeletePosePair(key, kind, std::move(id), revision,
+    storage_->DeletePosePair(key, std::move(deleted), revision,
                              std::move(done));
   }
   void DropDamaged(VehicleKey key, std::uint64_t last_sequence,
@@ -240,6 +240,10 @@ class OwnedStorage : public Storage {
       VehicleKey key, PairKind kind, const std::string& after_id,
       int limit) override {
     return storage_->ListPosePairs(key, kind, after_id, limit);
+  }
+  absl::StatusOr<std::vector<DeletedPairRecord>> ListDeletedPairs(
+      VehicleKey key) override {
+    return storage_->ListDeletedPairs(key);
   }
 
  private:

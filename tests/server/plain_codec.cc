@@ -183,6 +183,11 @@ bool PlainCodec::SayTheSame(const std::string& payload,
          other.substr(0, other.find(" by "));
 }
 
+std::string PlainCodec::WithDeleter(const std::string& payload,
+                                    const std::string& deleted_by) const {
+  return payload + " undone by " + deleted_by;
+}
+
 absl::StatusOr<std::string> PlainCodec::SliceBatch(const std::string& payload,
                                                    std::size_t first,
                                                    std::size_t count) const {

@@ -33,11 +33,14 @@ class PlainCodec : public RecordCodec {
   // A line: "dropped", first and last sequence, metres.
   std::string EncodeDropped(const core::DroppedStretch& stretch) const override;
   // The payload of a measured loop closure is a line: x, y, heading, and their
-  // common standard deviation. That of any pair may end with "by" and a name.
+  // common standard deviation. That of any pair may end with "by" and a name,
+  // and "undone by" and a name.
   absl::StatusOr<std::optional<core::LoopMeasurement>> DecodeMeasurement(
       const std::string& payload, core::StateSpace space) const override;
   bool SayTheSame(const std::string& payload,
                   const std::string& other) const override;
+  std::string WithDeleter(const std::string& payload,
+                          const std::string& deleted_by) const override;
   absl::StatusOr<std::string> SliceBatch(const std::string& payload,
                                          std::size_t first,
                                          std::size_t count) const override;

@@ -166,8 +166,17 @@ absl::Status BlockingWrites::DropDamaged(VehicleKey key,
 absl::Status BlockingWrites::DeletePair(VehicleKey key, PairKind kind,
                                         const std::string& id,
                                         std::uint64_t revision) {
+  DeletedPairRecord deleted;
+  deleted.kind = kind;
+  deleted.pair.id = id;
+  return DeletePair(key, deleted, revision);
+}
+
+absl::Status BlockingWrites::DeletePair(VehicleKey key,
+                                        const DeletedPairRecord& deleted,
+                                        std::uint64_t revision) {
   return Blocking([&](Storage::Done done) {
-    storage_->DeletePosePair(key, kind, id, revision, std::move(done));
+    storage_->DeletePosePair(key, deleted, revision, std::move(done));
   });
 }
 
@@ -208,6 +217,15 @@ std::string ToText(const PosePairRecord& record) {
        << record.matched_sequence << ", " << record.create_time_ns << " ns";
   if (!record.payload.empty()) text << ", '" << record.payload << "'";
   return text.str();
+}
+
+std::string ToText(const DeletedPairRecord& record) {
+  const std::string number = std::to_string(record.number);
+  if (!record.pair.damage.ok()) return number + ", damaged";
+  return number + ", " +
+         (record.kind == PairKind::kLoopClosure ? "closure " : "rejected ") +
+         ToText(record.pair) + ", deleted at " +
+         std::to_string(record.delete_time_ns) + " ns";
 }
 
 }  // namespace revisit::server

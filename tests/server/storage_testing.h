@@ -53,7 +53,10 @@ class BlockingWrites {
   absl::Status PutSnapshot(VehicleKey key, const SnapshotRecord& snapshot);
   absl::Status DropSnapshot(VehicleKey key);
   absl::Status Confirm(VehicleKey key);
+  // Of the pair, what is kept is its id.
   absl::Status DeletePair(VehicleKey key, PairKind kind, const std::string& id,
+                          std::uint64_t revision);
+  absl::Status DeletePair(VehicleKey key, const DeletedPairRecord& deleted,
                           std::uint64_t revision);
 
  private:
@@ -74,6 +77,8 @@ std::string SnapshotOf(Storage& storage, VehicleKey key);
 std::string ToText(const VehicleRecord& record);
 std::string ToText(const BatchRecord& record);
 std::string ToText(const PosePairRecord& record);
+// "1, closure a: 9 at 2, 7 ns, deleted at 8 ns" and the like.
+std::string ToText(const DeletedPairRecord& record);
 template <typename T>
 std::vector<std::string> ToTexts(const std::vector<T>& records) {
   std::vector<std::string> texts;

@@ -19,8 +19,8 @@ const UNARY: DescMethodUnary[] = [
   calls.getVehicle, calls.listVehicles, calls.findCandidates,
   calls.addLoopClosure, calls.listLoopClosures, calls.deleteLoopClosure,
   calls.rejectCandidate, calls.listRejectedCandidates,
-  calls.deleteRejectedCandidate, calls.listPoses, calls.getServerInfo,
-  Health.method.check,
+  calls.deleteRejectedCandidate, calls.listDeletedPosePairs, calls.listPoses,
+  calls.getServerInfo, Health.method.check,
 ];
 const STREAMS: DescMethodServerStreaming[] = [calls.exportPoseGraph];
 

@@ -32,6 +32,8 @@ _REVISED_POSES = 1000
 #: Poses and pairs on a page of a list.
 _POSES_PAGE = 10_000
 _PAGE = 1000
+#: Deleted pairs, which may be larger.
+_DELETED_PAGE = 500
 #: Empty pages that may follow each other. The service sends none before the last.
 _MOST_EMPTY_PAGES = 100
 
@@ -76,9 +78,8 @@ class Pages(Generic[_T]):
     """A list that is read page by page: `request` is for the next one."""
 
     def __init__(self, method: str, request: Any, field: str,
-                 order: str = "name") -> None:
-        """`field` of an answer has what is on a page, ordered by its field
-        `order`."""
+                 order: Callable[[Any], Any] = lambda item: item.name) -> None:
+        """`field` of an answer has what is on a page, in ascending `order`."""
         self._method = method
         self._request = request
         self._field = field
@@ -94,7 +95,7 @@ class Pages(Generic[_T]):
         when the server sends a page again, or consists of empty pages: it might
         never end."""
         for item in getattr(page, self._field):
-            key = getattr(item, self._order)
+            key = self._order(item)
             if self._last is not None and key <= self._last:
                 raise Internal(f"the server's list does not go on: {key} comes "
                                f"after {self._last}")
@@ -193,7 +194,7 @@ def list_poses(vehicle: str, first_sequence: int, as_sent: bool) -> Pages[v1.Pos
         parent=vehicle_name(vehicle), page_size=_POSES_PAGE,
         first_sequence=first_sequence,
         view=_view(as_sent),
-    ), "poses", order="sequence")
+    ), "poses", order=lambda pose: pose.sequence)
 
 
 def revise_poses(vehicle: str, poses: PosesLike,
@@ -325,6 +326,18 @@ def list_rejected_candidates(vehicle: str) -> Pages[v1.RejectedCandidate]:
 def delete_rejected_candidate(name: str) -> Call[Any]:
     return unary("DeleteRejectedCandidate",
                  v1.DeleteRejectedCandidateRequest(name=name))
+
+
+def _deletion_order(pair: v1.DeletedPosePair) -> int:
+    """The number that the name ends with, which becomes smaller."""
+    number = pair.name.rpartition("/")[2]
+    return -int(number) if number.isdecimal() else 0
+
+
+def list_deleted_pose_pairs(vehicle: str) -> Pages[v1.DeletedPosePair]:
+    return Pages("ListDeletedPosePairs", v1.ListDeletedPosePairsRequest(
+        parent=vehicle_name(vehicle), page_size=_DELETED_PAGE), "deleted_pose_pairs",
+        order=_deletion_order)
 
 
 def server_info() -> Call[v1.GetServerInfoResponse]:

@@ -297,6 +297,11 @@ class Client:
         again."""
         self._run(_calls.delete_rejected_candidate(name))
 
+    def list_deleted_pose_pairs(self, vehicle: str) -> Iterator[v1.DeletedPosePair]:
+        """A vehicle's last 1000 loop closures and rejections that were deleted, the
+        last one first: what was decided, and who undid it when."""
+        return self._pages(_calls.list_deleted_pose_pairs(vehicle))
+
     def server_info(self) -> v1.GetServerInfoResponse:
         """Version, limits, and what an acknowledgement is worth."""
         return self._run(_calls.server_info())

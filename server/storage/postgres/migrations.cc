@@ -123,9 +123,28 @@ ALTER TABLE snapshot_parts ALTER COLUMN payload SET STORAGE EXTERNAL;
 CREATE TABLE deleted_snapshots (key bigint PRIMARY KEY);
 )";
 
+// Rows of a vehicle go with it, also where a server of the version before
+// deletes it, which knows nothing of them.
+constexpr char kDeletedPairs[] = R"(
+CREATE TABLE deleted_pose_pairs (
+  vehicle_key bigint NOT NULL REFERENCES vehicles (key) ON DELETE CASCADE,
+  number bigint NOT NULL,
+  kind int NOT NULL,
+  id text COLLATE "C" NOT NULL,
+  format int NOT NULL,
+  query_sequence bigint NOT NULL,
+  matched_sequence bigint NOT NULL,
+  create_time_ns bigint NOT NULL,
+  delete_time_ns bigint NOT NULL,
+  checksum bigint NOT NULL,
+  payload bytea NOT NULL,
+  PRIMARY KEY (vehicle_key, number)
+);
+)";
+
 // The first makes the tables of kFirstSchemaVersion, each further one those of
 // the next version. One that was released is never changed.
-constexpr const char* kMigrations[] = {kTables};
+constexpr const char* kMigrations[] = {kTables, kDeletedPairs};
 static_assert(kFirstSchemaVersion + std::size(kMigrations) - 1 ==
               kSchemaVersion);
 

@@ -15,8 +15,8 @@
 //                        narrow, because every write changes it
 //   handovers            vehicles that a server wants of another
 //   batches, revised_batches, loop_closures, rejected_candidates, snapshots,
-//   snapshot_parts, deleted_snapshots
-//                        as in sqlite_storage.h
+//   snapshot_parts, deleted_snapshots, deleted_pose_pairs
+//                        as in sqlite_storage.h; the last since version 5
 //   deleted_vehicles     keys whose batches are still to be removed
 // Rows have the format versions and checksums of record_checksum.h, except
 // those of heads: they are compared with the last batch whenever a vehicle is
@@ -32,11 +32,10 @@
 
 namespace revisit::server {
 
-inline constexpr int kSchemaVersion = 4;
+inline constexpr int kSchemaVersion = 5;
 // Versions before the first were never in a release, and are refused.
 inline constexpr int kFirstSchemaVersion = 4;
-// The oldest that a server takes: the version before the last, once there is
-// one.
+// The oldest that a server takes: the version before the last.
 inline constexpr int kOldestSchemaVersion = 4;
 
 // FAILED_PRECONDITION if this program does not know the tables; the message

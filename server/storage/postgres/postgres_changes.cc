@@ -3,6 +3,7 @@
 #include <cstddef>
 #include <functional>
 #include <limits>
+#include <optional>
 #include <set>
 #include <utility>
 #include <vector>
@@ -38,24 +39,32 @@ constexpr Statement kChangeVehicle = {"change_vehicle",
                                           REVISIT_REPLACE_VEHICLE};
 
 // $11 last sequence, $12 and $13 ids of damaged pairs.
-constexpr Statement kDropDamaged = {
-    "drop_damaged",
-    REVISIT_FENCE(", durable_sequence = $11::int8", REVISIT_UNCHANGED
-                  " AND coalesce((SELECT first_sequence + "
-                  "least(greatest(count, 1), 1000000) - 1 FROM batches "
-                  "WHERE vehicle_key = $1::int8 AND first_sequence <= "
-                  "$11::int8 ORDER BY first_sequence DESC LIMIT 1), 0) = "
-                  "$11::int8") REVISIT_FORGET_SNAPSHOT
-    ", b AS (DELETE FROM batches t USING h WHERE t.vehicle_key = h.key AND "
-    "t.first_sequence > $11::int8), "
-    "r AS (DELETE FROM revised_batches t USING h WHERE t.vehicle_key = h.key "
-    "AND t.first_sequence > $11::int8), "
-    "l AS (DELETE FROM loop_closures t USING h WHERE t.vehicle_key = h.key "
-    "AND (greatest(t.query_sequence, t.matched_sequence) > $11::int8 OR "
-    "t.id = ANY($12::text[]))), "
-    "n AS (DELETE FROM rejected_candidates t USING h WHERE t.vehicle_key = "
-    "h.key AND (greatest(t.query_sequence, t.matched_sequence) > $11::int8 OR "
-    "t.id = ANY($13::text[]))) " REVISIT_REPLACE_VEHICLE};
+#define REVISIT_DROP_DAMAGED(MORE)                                         \
+  REVISIT_FENCE(", durable_sequence = $11::int8", REVISIT_UNCHANGED        \
+                " AND coalesce((SELECT first_sequence + "                  \
+                "least(greatest(count, 1), 1000000) - 1 FROM batches "     \
+                "WHERE vehicle_key = $1::int8 AND first_sequence <= "      \
+                "$11::int8 ORDER BY first_sequence DESC LIMIT 1), 0) = "   \
+                "$11::int8")                                               \
+  REVISIT_FORGET_SNAPSHOT                                                  \
+  ", b AS (DELETE FROM batches t USING h WHERE t.vehicle_key = h.key AND " \
+  "t.first_sequence > $11::int8), "                                        \
+  "r AS (DELETE FROM revised_batches t USING h WHERE t.vehicle_key = "     \
+  "h.key AND t.first_sequence > $11::int8), "                              \
+  "l AS (DELETE FROM loop_closures t USING h WHERE t.vehicle_key = h.key " \
+  "AND (greatest(t.query_sequence, t.matched_sequence) > $11::int8 OR "    \
+  "t.id = ANY($12::text[]))), "                                            \
+  "n AS (DELETE FROM rejected_candidates t USING h WHERE t.vehicle_key = " \
+  "h.key AND (greatest(t.query_sequence, t.matched_sequence) > $11::int8 " \
+  "OR t.id = ANY($13::text[]))) " MORE REVISIT_REPLACE_VEHICLE
+constexpr Statement kDropDamaged = {"drop_damaged", REVISIT_DROP_DAMAGED("")};
+// $14 numbers of damaged deletions.
+constexpr Statement kDropDamagedDeletions = {
+    "drop_damaged_deletions",
+    REVISIT_DROP_DAMAGED(", x AS (DELETE FROM deleted_pose_pairs t USING h "
+                         "WHERE t.vehicle_key = h.key AND "
+                         "t.number = ANY($14::int8[])) ")};
+#undef REVISIT_DROP_DAMAGED
 constexpr Statement kRaiseRevision = {
     "raise_revision", REVISIT_FENCE("", "") "SELECT key FROM h"};
 constexpr Statement kHeadHolds = {
@@ -132,7 +141,9 @@ constexpr Statement kPurge = {
 
 struct PairStatements {
   Statement insert;
+  // Without room for what is deleted.
   Statement remove;
+  Statement remove_and_keep;
 };
 
 #define REVISIT_INSERT_PAIR(TABLE)                                      \
@@ -143,20 +154,59 @@ struct PairStatements {
   "create_time_ns, checksum, payload) SELECT key, $6::text, $7::int8, " \
   "$8::int8, $9::int8, $10::int8, $11::int8, $12::bytea FROM h "        \
   "RETURNING vehicle_key"
-#define REVISIT_REMOVE_PAIR(TABLE)                                      \
+#define REVISIT_REMOVE_PAIR(TABLE, MORE)                                \
   REVISIT_FENCE("", " AND EXISTS (SELECT 1 FROM " TABLE                 \
                     " WHERE vehicle_key = $1::int8 AND id = $6::text)") \
-  "DELETE FROM " TABLE                                                  \
-  " t USING h WHERE t.vehicle_key = h.key AND "                         \
-  "t.id = $6::text RETURNING t.vehicle_key"
+  MORE "DELETE FROM " TABLE                                             \
+       " t USING h WHERE t.vehicle_key = h.key AND "                    \
+       "t.id = $6::text RETURNING t.vehicle_key"
+// Keeps what is deleted, and removes the rows behind the last ones, which are
+// one more once this is done. $7 number, $8 kind, $9 format, $10 query
+// sequence, $11 matched sequence, $12 creation, $13 deletion, $14 checksum, $15
+// payload, $16 how many of those before stay.
+#define REVISIT_KEEP_DELETED                                              \
+  ", k AS (INSERT INTO deleted_pose_pairs (vehicle_key, number, kind, "   \
+  "id, format, query_sequence, matched_sequence, create_time_ns, "        \
+  "delete_time_ns, checksum, payload) SELECT key, $7::int8, $8::int8, "   \
+  "$6::text, $9::int8, $10::int8, $11::int8, $12::int8, $13::int8, "      \
+  "$14::int8, $15::bytea FROM h), "                                       \
+  "o AS (DELETE FROM deleted_pose_pairs t USING h WHERE t.vehicle_key = " \
+  "h.key AND t.number <= (SELECT number FROM deleted_pose_pairs WHERE "   \
+  "vehicle_key = $1::int8 ORDER BY number DESC LIMIT 1 OFFSET $16::int8)) "
 constexpr PairStatements kClosures = {
     {"insert_loop_closures", REVISIT_INSERT_PAIR("loop_closures")},
-    {"remove_loop_closures", REVISIT_REMOVE_PAIR("loop_closures")}};
+    {"remove_loop_closures", REVISIT_REMOVE_PAIR("loop_closures", "")},
+    {"keep_loop_closures",
+     REVISIT_REMOVE_PAIR("loop_closures", REVISIT_KEEP_DELETED)}};
 constexpr PairStatements kRejections = {
     {"insert_rejected_candidates", REVISIT_INSERT_PAIR("rejected_candidates")},
-    {"remove_rejected_candidates", REVISIT_REMOVE_PAIR("rejected_candidates")}};
+    {"remove_rejected_candidates",
+     REVISIT_REMOVE_PAIR("rejected_candidates", "")},
+    {"keep_rejected_candidates",
+     REVISIT_REMOVE_PAIR("rejected_candidates", REVISIT_KEEP_DELETED)}};
 #undef REVISIT_INSERT_PAIR
 #undef REVISIT_REMOVE_PAIR
+#undef REVISIT_KEEP_DELETED
+
+constexpr Statement kLastNumber = {
+    "last_number",
+    "SELECT coalesce(max(number), 0)::int8 FROM deleted_pose_pairs WHERE "
+    "vehicle_key = $1::int8"};
+
+// The number for the next pair of the vehicle that is deleted; nothing where
+// none are kept.
+absl::StatusOr<std::optional<std::uint64_t>> NextNumber(
+    PostgresConnection& connection, VehicleKey key) {
+  using Number = std::optional<std::uint64_t>;
+  const absl::StatusOr<bool> keeps = KeepsDeletedPairs(connection);
+  if (!keeps.ok()) return keeps.status();
+  if (!*keeps) return Number();
+  const auto rows = connection.Run(kLastNumber, Parameters().Add(key));
+  if (!rows.ok()) return rows.status();
+  const auto next = NumberAfter(rows->Integer(0, 0));
+  if (!next.ok()) return next.status();
+  return Number(*next);
+}
 
 const PairStatements& StatementsOf(PairKind kind) {
   return kind == PairKind::kLoopClosure ? kClosures : kRejections;
@@ -381,7 +431,15 @@ absl::Status DropDamagedRows(PostgresConnection& connection, const Fence& fence,
     }
     parameters.AddTexts(damaged);
   }
-  const auto rows = connection.Run(kDropDamaged, parameters);
+  const auto deletions = FindDeletedPairs(connection, fence.key);
+  if (!deletions.ok()) return deletions.status();
+  std::vector<std::int64_t> damaged;
+  for (const DeletedPairRecord& deleted : *deletions) {
+    if (!deleted.pair.damage.ok()) damaged.push_back(Signed(deleted.number));
+  }
+  if (!damaged.empty()) parameters.Add(damaged);
+  const auto rows = connection.Run(
+      damaged.empty() ? kDropDamaged : kDropDamagedDeletions, parameters);
   if (!rows.ok()) return rows.status();
   if (rows->size() > 0) {
     NoteWritten(fence, revision);
@@ -411,16 +469,33 @@ absl::Status InsertPosePair(PostgresConnection& connection, const Fence& fence,
 }
 
 absl::Status RemovePosePair(PostgresConnection& connection, const Fence& fence,
-                            PairKind kind, const std::string& id,
-                            std::uint64_t revision) {
-  const auto rows = connection.Run(StatementsOf(kind).remove,
-                                   FenceOf(fence, revision).AddText(id));
+                            DeletedPairRecord deleted, std::uint64_t revision) {
+  const auto number = NextNumber(connection, fence.key);
+  if (!number.ok()) return number.status();
+  const PosePairRecord& pair = deleted.pair;
+  const PairStatements& statements = StatementsOf(deleted.kind);
+  Parameters parameters = FenceOf(fence, revision).AddText(pair.id);
+  if (*number) {
+    deleted.number = **number;
+    parameters.Add(Signed(deleted.number))
+        .Add(NumberOf(deleted.kind))
+        .Add(kSharedRowFormat)
+        .Add(Signed(pair.query_sequence))
+        .Add(Signed(pair.matched_sequence))
+        .Add(pair.create_time_ns)
+        .Add(deleted.delete_time_ns)
+        .Add(ChecksumOfDeletedPair(kSharedRowFormat, fence.key, deleted))
+        .AddText(pair.payload)
+        .Add(std::int64_t{kMostDeletedPairs - 1});
+  }
+  const auto rows = connection.Run(
+      *number ? statements.remove_and_keep : statements.remove, parameters);
   if (!rows.ok()) return rows.status();
   if (rows->size() > 0) {
     NoteWritten(fence, revision);
     return absl::OkStatus();
   }
-  return WhyNotWritten(connection, fence, NoSuchPair(kind, id));
+  return WhyNotWritten(connection, fence, NoSuchPair(deleted.kind, pair.id));
 }
 
 absl::Status ConfirmHead(PostgresConnection& connection, const Fence& fence) {

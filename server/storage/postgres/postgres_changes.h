@@ -44,9 +44,10 @@ absl::Status DropDamagedRows(PostgresConnection& connection, const Fence& fence,
 absl::Status InsertPosePair(PostgresConnection& connection, const Fence& fence,
                             PairKind kind, const PosePairRecord& pair,
                             std::uint64_t revision);
+// Implements Storage::DeletePosePair(): with tables that have no room for pairs
+// that were deleted, keeps none.
 absl::Status RemovePosePair(PostgresConnection& connection, const Fence& fence,
-                            PairKind kind, const std::string& id,
-                            std::uint64_t revision);
+                            DeletedPairRecord deleted, std::uint64_t revision);
 
 // Implements Storage::ConfirmOwned().
 absl::Status ConfirmHead(PostgresConnection& connection, const Fence& fence);

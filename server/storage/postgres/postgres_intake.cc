@@ -9,6 +9,7 @@
 #include "server/base/status.h"
 #include "server/storage/postgres/connection.h"
 #include "server/storage/postgres/migrations.h"
+#include "server/storage/postgres/postgres_reads.h"
 #include "server/storage/record_check.h"
 #include "server/storage/record_checksum.h"
 
@@ -48,6 +49,13 @@ constexpr Statement kTakeClosure = {"take_loop_closure",
 constexpr Statement kTakeRejection = {"take_rejected_candidate",
                                       REVISIT_TAKE_PAIR("rejected_candidates")};
 #undef REVISIT_TAKE_PAIR
+constexpr Statement kTakeDeletedPair = {
+    "take_deleted_pair",
+    "INSERT INTO deleted_pose_pairs (vehicle_key, number, kind, id, format, "
+    "query_sequence, matched_sequence, create_time_ns, delete_time_ns, "
+    "checksum, payload) VALUES ($1::int8, $2::int8, $3::int8, $4::text, "
+    "$5::int8, $6::int8, $7::int8, $8::int8, $9::int8, $10::int8, "
+    "$11::bytea)"};
 constexpr Statement kSetNextKey = {
     "set_next_key",
     "SELECT setval(pg_get_serial_sequence('vehicles', 'key')::regclass, "
@@ -100,6 +108,25 @@ class PostgresIntake : public StoreIntake {
                   .Add(pair.create_time_ns)
                   .Add(ChecksumOfPosePair(kSharedRowFormat, key, kind, pair))
                   .AddText(pair.payload))
+        .status();
+  }
+
+  absl::Status AddDeletedPair(VehicleKey key,
+                              const DeletedPairRecord& deleted) override {
+    return connection_
+        ->Run(kTakeDeletedPair,
+              Parameters()
+                  .Add(key)
+                  .Add(Signed(deleted.number))
+                  .Add(NumberOf(deleted.kind))
+                  .AddText(deleted.pair.id)
+                  .Add(kSharedRowFormat)
+                  .Add(Signed(deleted.pair.query_sequence))
+                  .Add(Signed(deleted.pair.matched_sequence))
+                  .Add(deleted.pair.create_time_ns)
+                  .Add(deleted.delete_time_ns)
+                  .Add(ChecksumOfDeletedPair(kSharedRowFormat, key, deleted))
+                  .AddText(deleted.pair.payload))
         .status();
   }
 
@@ -181,6 +208,14 @@ absl::StatusOr<std::unique_ptr<StoreIntake>> FillDatabase(
   if (!connection.ok()) return connection.status();
   absl::Status status = CheckSchema(**connection);
   if (!status.ok()) return status;
+  const absl::StatusOr<bool> keeps = KeepsDeletedPairs(**connection);
+  if (!keeps.ok()) return keeps.status();
+  if (!*keeps) {
+    return Error(absl::StatusCode::kFailedPrecondition, "STORE_UNAVAILABLE",
+                 "the tables of " + WithoutSecrets(conninfo) +
+                     " have no room for deleted loop closures and rejections: "
+                     "run `revisitd migrate --store URL` first");
+  }
   status =
       (*connection)
           ->RunText("BEGIN; LOCK TABLE vehicles IN SHARE ROW EXCLUSIVE MODE")

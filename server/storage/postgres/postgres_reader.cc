@@ -61,6 +61,14 @@ absl::StatusOr<std::vector<PosePairRecord>> PostgresReader::ListPosePairs(
   });
 }
 
+absl::StatusOr<std::vector<DeletedPairRecord>> PostgresReader::ListDeletedPairs(
+    VehicleKey key) {
+  return Read<std::vector<DeletedPairRecord>>(
+      [&](PostgresConnection& connection) {
+        return FindDeletedPairs(connection, key);
+      });
+}
+
 absl::StatusOr<std::optional<SnapshotRecord>> PostgresReader::GetSnapshot(
     VehicleKey key) {
   using Found = std::optional<SnapshotRecord>;

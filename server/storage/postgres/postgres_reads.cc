@@ -70,6 +70,15 @@ constexpr Statement kListRejections = {
     "list_rejected_candidates", REVISIT_LIST_PAIRS("rejected_candidates")};
 #undef REVISIT_LIST_PAIRS
 
+constexpr Statement kKeepsDeletedPairs = {
+    "keeps_deleted_pairs",
+    "SELECT to_regclass('deleted_pose_pairs') IS NOT NULL"};
+constexpr Statement kListDeletedPairs = {
+    "list_deleted_pairs",
+    "SELECT number, kind, id, format, query_sequence, matched_sequence, "
+    "create_time_ns, delete_time_ns, checksum, payload FROM "
+    "deleted_pose_pairs WHERE vehicle_key = $1::int8 ORDER BY number DESC"};
+
 // The columns from `column` on are count, format, revision, checksum, payload.
 StoredBatch BatchAt(const PostgresRows& rows, int row, int column,
                     std::int64_t first_sequence) {
@@ -260,6 +269,40 @@ absl::StatusOr<std::vector<PosePairRecord>> FindPosePairs(
     pairs.push_back(std::move(pair));
   }
   return pairs;
+}
+
+absl::StatusOr<bool> KeepsDeletedPairs(PostgresConnection& connection) {
+  const auto rows = connection.Run(kKeepsDeletedPairs);
+  if (!rows.ok()) return rows.status();
+  return rows->Integer(0, 0) != 0;
+}
+
+absl::StatusOr<std::vector<DeletedPairRecord>> FindDeletedPairs(
+    PostgresConnection& connection, VehicleKey key) {
+  const auto vehicle = connection.Run(kVehicleId, Parameters().Add(key));
+  if (!vehicle.ok()) return vehicle.status();
+  if (vehicle->size() == 0) return UnknownVehicle(key);
+  std::vector<DeletedPairRecord> all;
+  const absl::StatusOr<bool> keeps = KeepsDeletedPairs(connection);
+  if (!keeps.ok()) return keeps.status();
+  if (!*keeps) return all;
+  const auto rows = connection.Run(kListDeletedPairs, Parameters().Add(key));
+  if (!rows.ok()) return rows.status();
+  const std::string vehicle_id = Printable(vehicle->Bytes(0, 0));
+  for (int i = 0; i < rows->size(); ++i) {
+    DeletedPairRecord deleted;
+    deleted.number = Unsigned(rows->Integer(i, 0));
+    deleted.pair.id = rows->Bytes(i, 2);
+    deleted.pair.query_sequence = Unsigned(rows->Integer(i, 4));
+    deleted.pair.matched_sequence = Unsigned(rows->Integer(i, 5));
+    deleted.pair.create_time_ns = rows->Integer(i, 6);
+    deleted.delete_time_ns = rows->Integer(i, 7);
+    deleted.pair.payload = rows->Bytes(i, 9);
+    CheckDeletedPairRow(rows->Integer(i, 3), rows->Integer(i, 8), key,
+                        rows->Integer(i, 1), vehicle_id, &deleted);
+    all.push_back(std::move(deleted));
+  }
+  return all;
 }
 
 }  // namespace revisit::server

@@ -31,6 +31,12 @@ absl::Status VisitBatches(PostgresConnection& connection, VehicleKey key,
 absl::StatusOr<std::vector<PosePairRecord>> FindPosePairs(
     PostgresConnection& connection, VehicleKey key, PairKind kind,
     const std::string& after_id, int limit);
+// Whether pairs that are deleted are kept: tables of the version before the
+// last have no room for them.
+absl::StatusOr<bool> KeepsDeletedPairs(PostgresConnection& connection);
+// Implements Storage::ListDeletedPairs(): none where none are kept.
+absl::StatusOr<std::vector<DeletedPairRecord>> FindDeletedPairs(
+    PostgresConnection& connection, VehicleKey key);
 
 }  // namespace revisit::server
 

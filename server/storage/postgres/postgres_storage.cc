@@ -161,13 +161,13 @@ class PostgresStorage : public PostgresReader {
         std::move(done));
   }
 
-  void DeletePosePair(VehicleKey key, PairKind kind, std::string id,
+  void DeletePosePair(VehicleKey key, DeletedPairRecord deleted,
                       std::uint64_t revision, Done done) override {
     WriterOf(key).Submit(
         key, 0,
-        [kind, id = std::move(id), revision](PostgresConnection& connection,
-                                             const Fence& fence) {
-          return RemovePosePair(connection, fence, kind, id, revision);
+        [deleted = std::move(deleted), revision](PostgresConnection& connection,
+                                                 const Fence& fence) {
+          return RemovePosePair(connection, fence, deleted, revision);
         },
         std::move(done));
   }

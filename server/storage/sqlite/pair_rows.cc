@@ -51,6 +51,55 @@ const PairStatements& StatementsOf(PairKind kind) {
   return kind == PairKind::kLoopClosure ? closures : rejections;
 }
 
+// The number for the next pair of the vehicle that is deleted.
+absl::StatusOr<std::uint64_t> NextNumber(SqliteDatabase& database,
+                                         VehicleKey key) {
+  SqliteStatement last = database.Prepare(
+      "SELECT coalesce(max(number), 0) FROM deleted_pose_pairs WHERE "
+      "vehicle_key = ?1");
+  const absl::StatusOr<bool> found = last.Bind(1, key).Step();
+  if (!found.ok()) return found.status();
+  return NumberAfter(last.Integer(0));
+}
+
+absl::Status RemoveAllDeletedPairs(SqliteDatabase& database, VehicleKey key) {
+  return database
+      .Prepare("DELETE FROM deleted_pose_pairs WHERE vehicle_key = ?1")
+      .Bind(1, key)
+      .Run();
+}
+
+// Removes those behind the last kMostDeletedPairs.
+absl::Status RemoveOldDeletedPairs(SqliteDatabase& database, VehicleKey key) {
+  return database
+      .Prepare(
+          "DELETE FROM deleted_pose_pairs WHERE vehicle_key = ?1 AND number "
+          "<= (SELECT number FROM deleted_pose_pairs WHERE vehicle_key = ?1 "
+          "ORDER BY number DESC LIMIT 1 OFFSET ?2)")
+      .Bind(1, key)
+      .Bind(2, kMostDeletedPairs)
+      .Run();
+}
+
+absl::Status RemoveDamagedDeletedPairs(SqliteDatabase& database,
+                                       VehicleKey key) {
+  const auto all = FindDeletedPairs(database, key);
+  if (!all.ok()) return all.status();
+  for (const DeletedPairRecord& deleted : *all) {
+    if (deleted.pair.damage.ok()) continue;
+    const absl::Status status =
+        database
+            .Prepare(
+                "DELETE FROM deleted_pose_pairs WHERE vehicle_key = ?1 AND "
+                "number = ?2")
+            .Bind(1, key)
+            .Bind(2, Signed(deleted.number))
+            .Run();
+    if (!status.ok()) return status;
+  }
+  return absl::OkStatus();
+}
+
 }  // namespace
 
 absl::StatusOr<std::int64_t> CountPosePairs(SqliteDatabase& database,
@@ -87,16 +136,42 @@ absl::Status InsertPosePair(SqliteDatabase& database, VehicleKey key,
 }
 
 absl::Status RemovePosePair(SqliteDatabase& database, VehicleKey key,
-                            PairKind kind, const std::string& id,
-                            std::uint64_t revision) {
+                            DeletedPairRecord deleted, std::uint64_t revision) {
   absl::Status status = ChangeVehicle(database, key, std::nullopt, revision);
   if (!status.ok()) return status;
-  status = database.Prepare(StatementsOf(kind).remove.c_str())
+  status = database.Prepare(StatementsOf(deleted.kind).remove.c_str())
                .Bind(1, key)
-               .BindText(2, id)
+               .BindText(2, deleted.pair.id)
                .Run();
   if (!status.ok()) return status;
-  return database.Changes() == 0 ? NoSuchPair(kind, id) : absl::OkStatus();
+  if (database.Changes() == 0) return NoSuchPair(deleted.kind, deleted.pair.id);
+  const absl::StatusOr<std::uint64_t> number = NextNumber(database, key);
+  if (!number.ok()) return number.status();
+  deleted.number = *number;
+  status = InsertDeletedPair(database, key, deleted);
+  return status.ok() ? RemoveOldDeletedPairs(database, key) : status;
+}
+
+absl::Status InsertDeletedPair(SqliteDatabase& database, VehicleKey key,
+                               const DeletedPairRecord& deleted) {
+  return database
+      .Prepare(
+          "INSERT INTO deleted_pose_pairs (vehicle_key, number, kind, id, "
+          "format, query_sequence, matched_sequence, create_time_ns, "
+          "delete_time_ns, checksum, payload) VALUES (?1, ?2, ?3, ?4, ?5, ?6, "
+          "?7, ?8, ?9, ?10, ?11)")
+      .Bind(1, key)
+      .Bind(2, Signed(deleted.number))
+      .Bind(3, NumberOf(deleted.kind))
+      .BindText(4, deleted.pair.id)
+      .Bind(5, kStoreFormat)
+      .Bind(6, Signed(deleted.pair.query_sequence))
+      .Bind(7, Signed(deleted.pair.matched_sequence))
+      .Bind(8, deleted.pair.create_time_ns)
+      .Bind(9, deleted.delete_time_ns)
+      .Bind(10, ChecksumOfDeletedPair(kStoreFormat, key, deleted))
+      .BindBlob(11, deleted.pair.payload)
+      .Run();
 }
 
 absl::Status RemovePosePairs(SqliteDatabase& database, VehicleKey key) {
@@ -107,7 +182,7 @@ absl::Status RemovePosePairs(SqliteDatabase& database, VehicleKey key) {
             .Run();
     if (!status.ok()) return status;
   }
-  return absl::OkStatus();
+  return RemoveAllDeletedPairs(database, key);
 }
 
 absl::Status RemoveDamagedPosePairs(SqliteDatabase& database, VehicleKey key,
@@ -132,7 +207,7 @@ absl::Status RemoveDamagedPosePairs(SqliteDatabase& database, VehicleKey key,
       if (!status.ok()) return status;
     }
   }
-  return absl::OkStatus();
+  return RemoveDamagedDeletedPairs(database, key);
 }
 
 absl::StatusOr<std::vector<PosePairRecord>> FindPosePairs(
@@ -157,6 +232,34 @@ absl::StatusOr<std::vector<PosePairRecord>> FindPosePairs(
     pair.payload = row.Bytes(6);
     CheckPosePairRow(format, row.Integer(5), key, kind, *vehicle_id, &pair);
     pairs.push_back(std::move(pair));
+  }
+}
+
+absl::StatusOr<std::vector<DeletedPairRecord>> FindDeletedPairs(
+    SqliteDatabase& database, VehicleKey key) {
+  std::vector<DeletedPairRecord> all;
+  const absl::StatusOr<std::string> vehicle_id = VehicleId(database, key);
+  if (!vehicle_id.ok()) return vehicle_id.status();
+  SqliteStatement row = database.Prepare(
+      "SELECT number, kind, id, format, query_sequence, matched_sequence, "
+      "create_time_ns, delete_time_ns, checksum, payload FROM "
+      "deleted_pose_pairs WHERE vehicle_key = ?1 ORDER BY number DESC");
+  row.Bind(1, key);
+  while (true) {
+    const absl::StatusOr<bool> found = row.Step();
+    if (!found.ok()) return found.status();
+    if (!*found) return all;
+    DeletedPairRecord deleted;
+    deleted.number = Unsigned(row.Integer(0));
+    deleted.pair.id = row.Bytes(2);
+    deleted.pair.query_sequence = Unsigned(row.Integer(4));
+    deleted.pair.matched_sequence = Unsigned(row.Integer(5));
+    deleted.pair.create_time_ns = row.Integer(6);
+    deleted.delete_time_ns = row.Integer(7);
+    deleted.pair.payload = row.Bytes(9);
+    CheckDeletedPairRow(row.Integer(3), row.Integer(8), key, row.Integer(1),
+                        *vehicle_id, &deleted);
+    all.push_back(std::move(deleted));
   }
 }
 

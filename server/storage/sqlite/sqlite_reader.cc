@@ -49,6 +49,13 @@ absl::StatusOr<std::vector<PosePairRecord>> SqliteReader::ListPosePairs(
   });
 }
 
+absl::StatusOr<std::vector<DeletedPairRecord>> SqliteReader::ListDeletedPairs(
+    VehicleKey key) {
+  return Read<std::vector<DeletedPairRecord>>([&](SqliteDatabase& database) {
+    return FindDeletedPairs(database, key);
+  });
+}
+
 absl::StatusOr<std::optional<SnapshotRecord>> SqliteReader::GetSnapshot(
     VehicleKey key) {
   return Read<std::optional<SnapshotRecord>>(

@@ -36,6 +36,8 @@ class SqliteReader : public Storage {
   absl::StatusOr<std::vector<PosePairRecord>> ListPosePairs(
       VehicleKey key, PairKind kind, const std::string& after_id,
       int limit) override;
+  absl::StatusOr<std::vector<DeletedPairRecord>> ListDeletedPairs(
+      VehicleKey key) override;
   bool KeepsSnapshots() const override { return true; }
   absl::StatusOr<std::optional<SnapshotRecord>> GetSnapshot(
       VehicleKey key) override;

@@ -129,12 +129,13 @@ class SqliteStorage : public SqliteReader {
         std::move(done));
   }
 
-  void DeletePosePair(VehicleKey key, PairKind kind, std::string id,
+  void DeletePosePair(VehicleKey key, DeletedPairRecord deleted,
                       std::uint64_t revision, Done done) override {
     Submit(
         0,
-        [key, kind, id = std::move(id), revision](SqliteDatabase& database) {
-          return RemovePosePair(database, key, kind, id, revision);
+        [key, deleted = std::move(deleted),
+         revision](SqliteDatabase& database) {
+          return RemovePosePair(database, key, deleted, revision);
         },
         std::move(done));
   }

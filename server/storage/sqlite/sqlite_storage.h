@@ -41,6 +41,8 @@
 //   snapshot_parts       a row per part of a snapshot; since format 5
 //   deleted_snapshots    keys of snapshots whose parts are still to be removed,
 //                        a few at a time; since format 5
+//   deleted_pose_pairs   a row per loop closure or rejected candidate that was
+//                        deleted, the last ones of each vehicle; since format 6
 //   deleted_vehicles     keys whose batches are still to be removed, a few at
 //                        a time
 //   store                one row: which store this is, and the number of its

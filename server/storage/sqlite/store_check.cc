@@ -109,6 +109,9 @@ class Checker {
                    "count(*) FROM rejected_candidates WHERE vehicle_key NOT IN "
                    "(SELECT key FROM vehicles))",
                    "loop closures or rejected candidates belong to no vehicle"},
+             Query{"SELECT count(*) FROM deleted_pose_pairs WHERE vehicle_key "
+                   "NOT IN (SELECT key FROM vehicles)",
+                   "deletions belong to no vehicle"},
              Query{"SELECT (SELECT count(*) FROM snapshots WHERE vehicle_key "
                    "NOT IN (SELECT key FROM vehicles)) + (SELECT count(*) FROM "
                    "snapshot_parts WHERE snapshot_key NOT IN (SELECT key FROM "

@@ -109,11 +109,31 @@ CREATE TABLE deleted_snapshots (
 );
 )sql";
 
+// The table that format 6 has beyond format 5.
+constexpr char kAddedBy6[] = R"sql(
+CREATE TABLE deleted_pose_pairs (
+  vehicle_key INTEGER NOT NULL,
+  number INTEGER NOT NULL,
+  kind INTEGER NOT NULL,
+  id TEXT NOT NULL,
+  format INTEGER NOT NULL,
+  query_sequence INTEGER NOT NULL,
+  matched_sequence INTEGER NOT NULL,
+  create_time_ns INTEGER NOT NULL,
+  delete_time_ns INTEGER NOT NULL,
+  checksum INTEGER NOT NULL,
+  payload BLOB NOT NULL,
+  PRIMARY KEY (vehicle_key, number)
+) WITHOUT ROWID;
+)sql";
+
 // Lets pages of deleted rows be given back to the file system. Works only for a
 // file without tables.
 constexpr char kVacuum[] = "PRAGMA auto_vacuum = INCREMENTAL";
 
-std::string AllTables() { return std::string(kTablesOf4) + kAddedBy5; }
+std::string AllTables() {
+  return std::string(kTablesOf4) + kAddedBy5 + kAddedBy6;
+}
 
 }  // namespace
 
@@ -166,7 +186,8 @@ absl::Status BringToStoreFormat(SqliteDatabase& database,
   // Nothing is changed before the commit: a failure closes the connection,
   // which rolls back.
   std::string sql = "BEGIN IMMEDIATE;";
-  sql += kAddedBy5;
+  if (format->version < 5) sql += kAddedBy5;
+  sql += kAddedBy6;
   sql += "PRAGMA user_version = " + std::to_string(kStoreFormat);
   absl::Status status = database.Execute(sql.c_str());
   if (!status.ok()) return status;

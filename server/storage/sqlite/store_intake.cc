@@ -65,6 +65,11 @@ class FileIntake : public StoreIntake {
     return InsertPosePair(*database_, key, kind, pair, /*revision=*/0);
   }
 
+  absl::Status AddDeletedPair(VehicleKey key,
+                              const DeletedPairRecord& deleted) override {
+    return InsertDeletedPair(*database_, key, deleted);
+  }
+
   absl::Status Commit() override {
     const absl::StatusOr<StoreState> state = ReadState(*database_);
     if (!state.ok()) return state.status();

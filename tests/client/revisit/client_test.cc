@@ -91,6 +91,17 @@ TEST_F(ClientTest, ListsRejectionsAndNeverRepeatsTheirDeletion) {
   EXPECT_EQ(client_.DeleteRejectedCandidate({})->revision(), 9u);
 }
 
+TEST_F(ClientTest, ListsWhatWasDeletedAlsoAfterAFailure) {
+  v1::ListDeletedPosePairsRequest list;
+  list.set_parent("vehicles/a");
+  server_.FailUnaryCalls({StoreUnavailable()});
+  const auto page = client_.ListDeletedPosePairs(list);
+  ASSERT_TRUE(page.ok()) << page.status();
+  EXPECT_EQ(page->deleted_pose_pairs(0).name(),
+            "vehicles/a/deletedPosePairs/10");
+  EXPECT_EQ(server_.unary_calls(), 2);
+}
+
 grpc::Status NotOwner() {
   return MakeStatus(grpc::StatusCode::UNAVAILABLE, "elsewhere",
                     {"NOT_OWNER", {{"owner", "10.0.0.2:50051"}}});

@@ -6,6 +6,7 @@
 #include "gmock/gmock.h"
 #include "google/protobuf/util/message_differencer.h"
 #include "gtest/gtest.h"
+#include "server/records/pair_content.h"
 #include "tests/server/conversion/conversion_testing.h"
 #include "tests/server/error_matchers.h"
 
@@ -68,6 +69,39 @@ TEST(PosePairTest, AnswersWithNameAndTime) {
         create_time { seconds: -1 nanos: 999999999 }
       )pb")))
       << rejected.DebugString();
+}
+
+TEST(PosePairTest, DeletedOneIsAnsweredAsItWasWithWhoDeletedIt) {
+  PairContent content;
+  content.note = "a bridge";
+  content.decided_by = "token:eva";
+  content.deleted_by = "token:tom";
+  DeletedPairRecord record{
+      7,
+      PairKind::kRejectedCandidate,
+      {"9-3", 9, 3, 1'000'000'000, EncodePairContent(content)},
+      2'000'000'000};
+  v1::DeletedPosePair message;
+  EncodeDeletedPair("a", record, &message);
+  EXPECT_TRUE(google::protobuf::util::MessageDifferencer::Equals(
+      message, FromText<v1::DeletedPosePair>(R"pb(
+        name: "vehicles/a/deletedPosePairs/7"
+        rejected_candidate {
+          name: "vehicles/a/rejectedCandidates/9-3"
+          query_sequence: 9
+          matched_sequence: 3
+          create_time { seconds: 1 }
+          note: "a bridge"
+          decided_by: "token:eva"
+        }
+        delete_time { seconds: 2 }
+        deleted_by: "token:tom"
+      )pb")))
+      << message.DebugString();
+  record.kind = PairKind::kLoopClosure;
+  v1::DeletedPosePair other;
+  EncodeDeletedPair("a", record, &other);
+  EXPECT_EQ(other.loop_closure().name(), "vehicles/a/loopClosures/9-3");
 }
 
 }  // namespace

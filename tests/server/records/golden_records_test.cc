@@ -22,6 +22,7 @@
 #include "server/conversion/vehicle_settings.h"
 #include "server/fields/pose_fields.h"
 #include "server/records/batch_records.h"
+#include "server/records/pair_content.h"
 #include "server/records/proto_record_codec.h"
 #include "tests/server/conversion/conversion_testing.h"
 #include "tests/server/error_matchers.h"
@@ -416,6 +417,10 @@ TEST(GoldenRecordTest, RejectedCandidatesAreWrittenAndReadAsEver) {
             "2209746f6b656e3a657661");
   EncodePosePair("v", *decided, &answer);
   EXPECT_EQ(answer.decided_by(), "token:eva");
+  EXPECT_EQ(Hex(PairContentWithDeleter(decided->payload, "token:tom")),
+            "1206627269646765"
+            "2209746f6b656e3a657661"
+            "2a09746f6b656e3a746f6d");
   // Records from before there were notes have no payload.
   EncodePosePair("v", {"9-3", 9, 3, 0, ""}, &answer);
   EXPECT_EQ(answer.note(), "");

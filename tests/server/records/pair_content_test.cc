@@ -102,6 +102,24 @@ TEST(PairContentTest, SaysTheSameWhoeverDecided) {
   EXPECT_FALSE(PairContentsSayTheSame("\xff", payload("", "x")));
 }
 
+TEST(PairContentTest, KeepsAllButWhoDeletedItWhenItIsDeleted) {
+  const std::string before = PayloadOf(FromText<v1::LoopClosure>(kMeasured));
+  const std::string payload = PairContentWithDeleter(before, "token:tom");
+  PairContent content;
+  ASSERT_THAT(ReadPairContent(payload,
+                              [&](const PairContent& read) {
+                                content = read;
+                                content.measurement.reset();
+                              }),
+              IsOk());
+  EXPECT_EQ(content.deleted_by, "token:tom");
+  EXPECT_EQ(content.note, "icp\n412");
+  EXPECT_EQ(content.score, -0.5);
+  EXPECT_TRUE(
+      DecodePairMeasurement(payload, core::StateSpace::kPlanar)->has_value());
+  EXPECT_EQ(PairContentWithDeleter(before, ""), before);
+}
+
 TEST(PairContentTest, OfPosesAloneIsEmpty) {
   v1::LoopClosure closure;
   closure.set_query_sequence(9);

@@ -196,7 +196,7 @@ TEST_F(OwnershipTest, WhatIsInMemoryIsNotAcknowledgedAgainWithoutTheStore) {
   const Answer<absl::StatusOr<AddedPair>> again;
   session->AddPosePair(PairKind::kLoopClosure, pair, again.Setter());
   const Answer<absl::StatusOr<std::uint64_t>> deleted;
-  session->DeletePosePair(PairKind::kLoopClosure, "d", deleted.Setter());
+  session->DeletePosePair(PairKind::kLoopClosure, "d", {}, deleted.Setter());
   a_.held.Await(1);
   Seize("truck", "b");
   a_.held.ReleaseAll();

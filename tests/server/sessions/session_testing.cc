@@ -136,9 +136,10 @@ absl::StatusOr<AddedPair> AddPairNow(VehicleSession& session, PairKind kind,
 
 absl::StatusOr<std::uint64_t> DeletePairNow(VehicleSession& session,
                                             PairKind kind,
-                                            const std::string& id) {
+                                            const std::string& id,
+                                            const PairDeletion& deletion) {
   const Answer<absl::StatusOr<std::uint64_t>> answer;
-  session.DeletePosePair(kind, id, answer.Setter());
+  session.DeletePosePair(kind, id, deletion, answer.Setter());
   return answer.Get();
 }
 

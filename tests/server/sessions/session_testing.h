@@ -69,7 +69,8 @@ absl::StatusOr<AddedPair> AddPairNow(VehicleSession& session, PairKind kind,
                                      const PosePairRecord& pair);
 absl::StatusOr<std::uint64_t> DeletePairNow(VehicleSession& session,
                                             PairKind kind,
-                                            const std::string& id);
+                                            const std::string& id,
+                                            const PairDeletion& deletion = {});
 absl::Status DeleteNow(VehicleSession& session);
 void CloseNow(VehicleSession& session);
 

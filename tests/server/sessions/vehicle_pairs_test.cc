@@ -206,6 +206,51 @@ TEST_F(VehicleSessionTest, DeletesPairOfEachKind) {
   }
 }
 
+TEST_F(VehicleSessionTest, KeepsDeletedPairsWithWhoDeletedThem) {
+  for (const std::uint64_t first : {1, 4, 7}) {
+    ASSERT_THAT(AppendNow(*session_, StraightBatch(first, 3)), IsOk());
+  }
+  const VehicleKey key = memory_.GetVehicle("truck")->key;
+  ASSERT_THAT(
+      AddPairNow(*session_, kClosure, {"a", 9, 2, 50, "0 0 0 1 by eva"}),
+      IsOk());
+  ASSERT_THAT(AddPairNow(*session_, kRejection, {"a", 8, 3, 60, "0 0 0 1"}),
+              IsOk());
+  EXPECT_THAT(DeletePairNow(*session_, kRejection, "a", {70, "tom"}), IsOk());
+  EXPECT_THAT(DeletePairNow(*session_, kRejection, "a", {75, "tom"}),
+              IsError(StatusCode::kNotFound, _, _));
+  EXPECT_THAT(DeletePairNow(*session_, kClosure, "a", {80, "ida"}), IsOk());
+  // Neither a new pair of the id nor a new graph changes them.
+  ASSERT_THAT(AddPairNow(*session_, kClosure, {"a", 9, 1, 90}), IsOk());
+  ASSERT_THAT(ReviseNow(*session_, ShiftSecondBatch).status(), IsOk());
+  Reload();
+  EXPECT_THAT(ReadNow(*session_)->damage, IsOk());
+  EXPECT_THAT(
+      ToTexts(*memory_.ListDeletedPairs(key)),
+      ElementsAre("2, closure a: 9 at 2, 50 ns, '0 0 0 1 by eva undone by "
+                  "ida', deleted at 80 ns",
+                  "1, rejected a: 8 at 3, 60 ns, '0 0 0 1 undone by tom', "
+                  "deleted at 70 ns"));
+}
+
+TEST_F(VehicleSessionTest, DamageOfADeletedPairIsFoundAndGivenUp) {
+  ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
+  const VehicleKey key = memory_.GetVehicle("truck")->key;
+  for (const char* const id : {"a", "b"}) {
+    ASSERT_THAT(AddPairNow(*session_, kClosure, {id, 9, 2, 0}), IsOk());
+    ASSERT_THAT(DeletePairNow(*session_, kClosure, id), IsOk());
+  }
+  memory_.DamageDeletedPair("truck");
+  Reload();
+  EXPECT_THAT(ReadNow(*session_)->damage,
+              IsError(StatusCode::kDataLoss, "STORE_CORRUPT", _));
+  ASSERT_THAT(AcceptDataLossNow(*session_, 9).status(), IsOk());
+  Reload();
+  EXPECT_THAT(ReadNow(*session_)->damage, IsOk());
+  EXPECT_EQ(ReadNow(*session_)->durable_sequence, 9u);
+  EXPECT_EQ(memory_.ListDeletedPairs(key)->size(), 1u);
+}
+
 TEST_F(VehicleSessionTest, LooksAtManyLoopClosuresWhereLongWorkRuns) {
   CloseNow(*session_);
   Executor short_work("short", 1);
@@ -216,7 +261,7 @@ TEST_F(VehicleSessionTest, LooksAtManyLoopClosuresWhereLongWorkRuns) {
   const auto thread_of_delete = [this](const std::string& id) {
     const Answer<std::string> thread;
     session_->DeletePosePair(
-        kClosure, id, [&](const absl::StatusOr<std::uint64_t>& revision) {
+        kClosure, id, {}, [&](const absl::StatusOr<std::uint64_t>& revision) {
           EXPECT_THAT(revision.status(), IsOk());
           char name[16] = "";
           pthread_getname_np(pthread_self(), name, sizeof(name));

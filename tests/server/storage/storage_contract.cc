@@ -29,6 +29,13 @@ BatchRecord Batch(std::uint64_t first, std::uint32_t count,
   return BatchRecord{first, count, revision, payload};
 }
 
+// The texts of deleted pairs, if they are kept.
+std::vector<std::string> IfKept(const StoreFactory& factory,
+                                std::vector<std::string> texts) {
+  if (!factory.keeps_deleted_pairs) texts.clear();
+  return texts;
+}
+
 }  // namespace
 
 TEST_P(StorageContract, ReadsBackWhatWasCreated) {
@@ -73,6 +80,7 @@ TEST_P(StorageContract, AnswersNotFoundForKeyOfNoVehicle) {
     EXPECT_THAT(write().DeletePair(5, kind, "a", 2), not_found);
     EXPECT_THAT(storage().ListPosePairs(5, kind, "", 10), not_found);
   }
+  EXPECT_THAT(storage().ListDeletedPairs(5), not_found);
 }
 
 TEST_P(StorageContract, ListsVehiclesByIdInPages) {
@@ -392,6 +400,73 @@ TEST_P(StorageContract, KeepsKindsOfPairsApart) {
   EXPECT_THAT(ToTexts(*storage().ListPosePairs(
                   key, PairKind::kRejectedCandidate, "", 10)),
               ElementsAre("a: 8 at 3, 2 ns", "b: 7 at 3, 3 ns, 'why'"));
+}
+
+TEST_P(StorageContract, KeepsDeletedPairsAsLongAsTheirVehicle) {
+  const VehicleKey key = *write().Create("truck");
+  const VehicleKey other = *write().Create("other");
+  ASSERT_THAT(write().Append(key, Batch(1, 2, 2, "a")), IsOk());
+  const auto remove = [&](VehicleKey from, PairKind kind, const char* id,
+                          std::int64_t time_ns, std::uint64_t revision) {
+    DeletedPairRecord deleted;
+    deleted.number = 77;  // Not read.
+    deleted.kind = kind;
+    deleted.pair = {id, 2, 1, -5, "said"};
+    deleted.delete_time_ns = time_ns;
+    return write().DeletePair(from, deleted, revision);
+  };
+  for (const PairKind kind : kPairKinds) {
+    ASSERT_THAT(write().AddPair(key, kind, {"a", 2, 1, -5, "said"}, 3), IsOk());
+    ASSERT_THAT(write().AddPair(other, kind, {"a", 2, 1, -5}, 3), IsOk());
+  }
+  ASSERT_THAT(remove(key, PairKind::kRejectedCandidate, "a", 8, 4), IsOk());
+  EXPECT_THAT(
+      remove(key, PairKind::kRejectedCandidate, "a", 9, 5),
+      IsError(StatusCode::kNotFound, "REJECTED_CANDIDATE_NOT_FOUND", _));
+  ASSERT_THAT(remove(key, PairKind::kLoopClosure, "a", 7, 6), IsOk());
+  ASSERT_THAT(remove(other, PairKind::kLoopClosure, "a", 9, 4), IsOk());
+  const std::vector<std::string> expected = IfKept(
+      GetParam(), {"2, closure a: 2 at 1, -5 ns, 'said', deleted at 7 ns",
+                   "1, rejected a: 2 at 1, -5 ns, 'said', deleted at 8 ns"});
+  EXPECT_EQ(ToTexts(*storage().ListDeletedPairs(key)), expected);
+  ASSERT_THAT(write().Revise(key, {Batch(1, 2, 0, "A")}, 7), IsOk());
+  ASSERT_THAT(write().Replace(key, {{Batch(1, 2, 8, "dropped")}}, 8), IsOk());
+  ASSERT_THAT(write().DropDamaged(key, 0, "none", 9), IsOk());
+  store_->Reopen();
+  EXPECT_EQ(ToTexts(*storage().ListDeletedPairs(key)), expected);
+  ASSERT_THAT(write().Delete(key), IsOk());
+  EXPECT_THAT(storage().ListDeletedPairs(key),
+              IsError(StatusCode::kNotFound, "VEHICLE_NOT_FOUND", _));
+  EXPECT_THAT(*storage().ListDeletedPairs(*write().Create("truck")), IsEmpty());
+  EXPECT_EQ(ToTexts(*storage().ListDeletedPairs(other)),
+            IfKept(GetParam(),
+                   {"1, closure a: 2 at 1, -5 ns, 'said', deleted at 9 ns"}));
+}
+
+TEST_P(StorageContract, KeepsTheLast1000DeletedPairs) {
+  if (!GetParam().keeps_deleted_pairs) GTEST_SKIP() << "it keeps none";
+  const VehicleKey key = *write().Create("truck");
+  const Answer<absl::Status> last;
+  for (std::uint64_t i = 1; i <= kMostDeletedPairs + 2; ++i) {
+    const PairKind kind = kPairKinds[i % 2];
+    DeletedPairRecord deleted;
+    deleted.kind = kind;
+    deleted.pair = {"p", i + 1, 1, 0};
+    storage().AddPosePair(key, kind, deleted.pair, 2 * i,
+                          [](const absl::Status&) {});
+    storage().DeletePosePair(
+        key, deleted, 2 * i + 1,
+        i == kMostDeletedPairs + 2 ? last.Setter()
+                                   : [](const absl::Status&) {});
+  }
+  ASSERT_THAT(last.Get(), IsOk());
+  const auto kept = storage().ListDeletedPairs(key);
+  ASSERT_THAT(kept, IsOk());
+  ASSERT_EQ(kept->size(), static_cast<std::size_t>(kMostDeletedPairs));
+  EXPECT_EQ(kept->front().number, kMostDeletedPairs + 2u);
+  EXPECT_EQ(kept->front().pair.query_sequence, kMostDeletedPairs + 3u);
+  EXPECT_EQ(kept->back().number, 3u);
+  EXPECT_EQ(kept->back().pair.query_sequence, 4u);
 }
 
 TEST_P(StorageContract, GivesUpWhatComesAfterASequence) {
@@ -829,6 +904,9 @@ TEST_P(StorageContract, DoesWhatTheModelDoes) {
         ASSERT_EQ(ToTexts(*storage().ListPosePairs(real_key, kind, "", 10)),
                   ToTexts(*model.ListPosePairs(expected.key, kind, "", 10)));
       }
+      ASSERT_EQ(
+          ToTexts(*storage().ListDeletedPairs(real_key)),
+          IfKept(GetParam(), ToTexts(*model.ListDeletedPairs(expected.key))));
       if (storage().KeepsSnapshots()) {
         ASSERT_EQ(SnapshotOf(storage(), real_key),
                   SnapshotOf(model, expected.key));

@@ -27,6 +27,9 @@ struct StoreFactory {
   std::string name;
   // Null if the machine lacks what it needs.
   std::function<std::unique_ptr<StoreUnderTest>()> make;
+  // Whether pairs that are deleted are kept; false with the tables in a
+  // database that had no room for them.
+  bool keeps_deleted_pairs = true;
 };
 
 inline void PrintTo(const StoreFactory& factory, std::ostream* stream) {

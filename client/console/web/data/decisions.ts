@@ -3,11 +3,13 @@
 import {timestampMs} from '@bufbuild/protobuf/wkt';
 import {batch, computed, signal} from '@preact/signals';
 
-import type {LoopClosure, RejectedCandidate} from
+import type {DeletedPosePair, LoopClosure, RejectedCandidate} from
     '../../gen/revisit/v1/loop_closure_pb.js';
 import {allPages, messageOf, service} from './client.js';
 
 const PAGE_SIZE = 1000;
+/** The most that the server puts on a page. */
+const UNDONE_PAGE_SIZE = 500;
 
 /** Two poses, by their sequences: the query is the later one. */
 export interface Pair {
@@ -29,6 +31,17 @@ export interface Decision extends Pair {
   time: number;
   /** Who made it, as the server knows its callers; empty if it does not. */
   by: string;
+}
+
+/** A decision that was undone, as it was. */
+export interface Undone extends Decision {
+  /** The resource name of the deletion: that of the decision may be another
+   * one's by now. */
+  deletion: string;
+  /** Milliseconds since 1970. */
+  undoneTime: number;
+  /** Who undid it, as `by`. */
+  undoneBy: string;
 }
 
 /** Something that was done in this page. */
@@ -59,6 +72,17 @@ function asDecision(kind: Decision['kind'],
     note: made.note,
     time: made.createTime ? timestampMs(made.createTime) : NaN,
     by: made.decidedBy,
+  };
+}
+
+function asUndone({name, pair, deleteTime, deletedBy}: DeletedPosePair):
+    Undone {
+  return {
+    ...asDecision(pair.case === 'loopClosure' ? 'confirmed' : 'rejected',
+                  pair.value!),
+    deletion: name,
+    undoneTime: deleteTime ? timestampMs(deleteTime) : NaN,
+    undoneBy: deletedBy,
   };
 }
 
@@ -108,6 +132,12 @@ export class DecisionBook {
                                         state === 'under way')
                 .map(({pair}) => pair));
   readonly drafts = new Drafts();
+  /** The decisions that were undone, the last first; undefined until somebody
+   * has asked for them. */
+  readonly undone = signal<Undone[]|undefined>(undefined);
+  /** Why they could not be read. */
+  readonly undoneError = signal<string|undefined>(undefined);
+  private showsUndone = false;
   private changes = 0;
 
   /** `changed` is called after each change that was made here. */
@@ -128,13 +158,42 @@ export class DecisionBook {
                page => page.rejectedCandidates),
     ]);
     if (changes !== this.changes) return undefined;
-    const before = this.all.value.map(({name}) => name).join();
+    const before = this.all.value.map(({name}) => name);
     batch(() => {
       this.closures.value = closures.map(made => asDecision('confirmed', made));
       this.rejections.value =
           rejections.map(made => asDecision('rejected', made));
     });
-    return before !== this.all.value.map(({name}) => name).join();
+    const after = new Set(this.all.value.map(({name}) => name));
+    if (before.some(name => !after.has(name))) this.renewUndone();
+    return before.join() !== [...after].join();
+  }
+
+  /** Reads the decisions that were undone, and reads them again whenever one
+   * more was, until they are shown no longer: nobody else waits for them. */
+  showUndone(shown: boolean): void {
+    this.showsUndone = shown;
+    this.renewUndone();
+  }
+
+  private renewUndone(): void {
+    if (this.showsUndone) void this.readUndone();
+  }
+
+  private async readUndone(): Promise<void> {
+    const {parent, changes} = this;
+    try {
+      const all = await allPages(
+          pageToken => service.listDeletedPosePairs(
+              {parent, pageToken, pageSize: UNDONE_PAGE_SIZE}),
+          page => page.deletedPosePairs);
+      // What was undone here meanwhile is read once that is done.
+      if (changes !== this.changes) return;
+      this.undone.value = all.map(asUndone);
+      this.undoneError.value = undefined;
+    } catch (error) {
+      this.undoneError.value = messageOf(error);
+    }
   }
 
   /** Whether something is under way at the pair with this key. */
@@ -217,6 +276,7 @@ export class DecisionBook {
           verb[deed.act]}: ${messageOf(error)}`});
     }
     this.changed();
+    this.renewUndone();
   }
 
   private wordsOf({query, matched}: Pair, note: string) {

@@ -7,7 +7,7 @@ import {FindingCode, type Vehicle, VehicleState} from
 import {allFound, type Answer, type Found, keyOf, pairOf, verdictName} from
     '../data/candidates.js';
 import {idle} from '../data/client.js';
-import {type Decision, pairName} from '../data/decisions.js';
+import {type Decision, pairName, type Undone} from '../data/decisions.js';
 import {type Graph, nodeAt} from '../data/graph.js';
 import {SEARCHES_AT_ONCE, type VehicleStore, vehicleStore} from
     '../data/vehicle.js';
@@ -94,6 +94,54 @@ function decisionColumns(store: VehicleStore): Array<Column<Decision>> {
     {title: 'By', by: ({by}) => by, cell: ({by}) => by},
     {title: 'Note', by: ({note}) => note, cell: ({note}) => note},
   ];
+}
+
+function undoneColumns(store: VehicleStore): Array<Column<Undone>> {
+  return [
+    {title: 'Pose', number: true, by: ({query}) => query, cell: undone => (
+      <a href={store.addressOf(undone)}
+         aria-label={`once ${undone.kind} ${pairName(undone)}`}>
+        {count(undone.query)}
+      </a>)},
+    {title: 'Match', number: true, by: ({matched}) => matched,
+     cell: ({matched}) => count(matched)},
+    {title: 'Decision', by: ({kind}) => kind, cell: ({kind}) => kind},
+    {title: 'When', by: ({time}) => time, cell: ({time}) => instant(time)},
+    {title: 'By', by: ({by}) => by, cell: ({by}) => by},
+    {title: 'Undone', by: ({undoneTime}) => undoneTime,
+     cell: ({undoneTime}) => instant(undoneTime)},
+    {title: 'Undone by', by: ({undoneBy}) => undoneBy,
+     cell: ({undoneBy}) => undoneBy},
+    {title: 'Note', by: ({note}) => note, cell: ({note}) => note},
+  ];
+}
+
+/** The decisions that were undone: they are read only where somebody opens
+ * them. */
+function UndoneDecisions({store, columns}:
+    {store: VehicleStore, columns: Array<Column<Undone>>}) {
+  const [open, setOpen] = useState(false);
+  const {decisions} = store;
+  useEffect(() => {
+    if (!open) return undefined;
+    decisions.showUndone(true);
+    return () => decisions.showUndone(false);
+  }, [decisions, open]);
+  const undone = decisions.undone.value;
+  const error = decisions.undoneError.value;
+  return (
+    <details class="undone"
+             onToggle={event => setOpen(event.currentTarget.open)}>
+      <summary>Undone decisions</summary>
+      {open && error && <p class="error" role="status">{error}</p>}
+      {open && !undone && !error && <p role="status">Asking the server…</p>}
+      {open && undone && (
+        <Table label="Undone decisions" columns={columns} rows={undone}
+               keyOf={({deletion}) => deletion}
+               empty="Nobody has undone any." />
+      )}
+    </details>
+  );
 }
 
 /** Curves up to node `cut`. */
@@ -404,6 +452,7 @@ export function VehicleView({id}: {id: string}) {
                           [store, at, everyDecision.value, graph]);
   const forDecisions = useMemo(() => decisionColumns(store),
                                [store, checks]);
+  const forUndone = useMemo(() => undoneColumns(store), [store, checks]);
   const name = vehicle?.displayName || id;
   useTitle(name);
   return (
@@ -456,6 +505,7 @@ export function VehicleView({id}: {id: string}) {
                      rows={decisions} keyOf={({name: key}) => key}
                      pointed={pointed} onPoint={setPointed}
                      empty="Nobody has confirmed or rejected any." />
+              <UndoneDecisions store={store} columns={forUndone} />
             </div>
           </div>
           <div class="curves">

@@ -234,6 +234,10 @@ class Client:
     async def delete_rejected_candidate(self, name: str) -> None:
         await self._run(_calls.delete_rejected_candidate(name))
 
+    def list_deleted_pose_pairs(self, vehicle: str
+                                ) -> AsyncIterator[v1.DeletedPosePair]:
+        return self._pages(_calls.list_deleted_pose_pairs(vehicle))
+
     async def server_info(self) -> v1.GetServerInfoResponse:
         return await self._run(_calls.server_info())
 

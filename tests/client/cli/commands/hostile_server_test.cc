@@ -12,6 +12,7 @@
 #include <utility>
 #include <vector>
 
+#include "client/cli/commands/deletions_command.h"
 #include "client/cli/commands/export_command.h"
 #include "client/cli/commands/find_command.h"
 #include "client/cli/commands/findings_command.h"
@@ -129,6 +130,10 @@ class HostileServerTest : public CommandTest {
          [this](const Terminal& c) {
            return RunRejectionsList(client_, "a", c);
          }},
+        {"deletions list",
+         [this](const Terminal& c) {
+           return RunDeletionsList(client_, "a", c);
+         }},
         {"closures delete",
          [this](const Terminal& c) {
            return RunClosuresDelete(client_, {"a", {"150", "20"}}, c);
@@ -237,13 +242,13 @@ TEST_F(HostileServerTest, ListsThatDoNotGoOnEndWithAnError) {
   std::vector<NamedCommand> commands;
   for (NamedCommand& command : Commands()) {
     for (const char* name :
-         {"vehicle list", "closures list", "rejections list", "closures delete",
-          "poses list", "export g2o", "export tum", "export csv", "map html",
-          "revise"}) {
+         {"vehicle list", "closures list", "rejections list", "deletions list",
+          "closures delete", "poses list", "export g2o", "export tum",
+          "export csv", "map html", "revise"}) {
       if (command.name == name) commands.push_back(command);
     }
   }
-  ASSERT_EQ(commands.size(), 10u);
+  ASSERT_EQ(commands.size(), 11u);
   Append(3);
   for (const ListEnd end :
        {ListEnd::kRepeats, ListEnd::kRepeatsUnderFreshTokens,

@@ -86,14 +86,29 @@ PostgresOptions ManyConnections() {
   return options;
 }
 
+// Takes the tables back to the version before the last.
+constexpr char kToVersion4[] =
+    "DROP TABLE deleted_pose_pairs; UPDATE schema_version SET version = 4";
+
+std::unique_ptr<StoreUnderTest> MakeStoreOfVersion4() {
+  static_assert(kOldestSchemaVersion == 4);
+  if (PostgresServer::Shared() == nullptr) return nullptr;
+  const std::string conninfo = PostgresServer::Shared()->MakeStore();
+  PostgresServer::Shared()->Run(conninfo, kToVersion4);
+  return std::make_unique<PostgresStore>(conninfo, PostgresOptions());
+}
+
 INSTANTIATE_TEST_SUITE_P(
     Postgres, StorageContract,
-    ::testing::Values(
-        StoreFactory{"WithDefaults", [] { return MakeStore({}); }},
-        StoreFactory{"OneWriteAtATime",
-                     [] { return MakeStore(OneWriteAtATime()); }},
-        StoreFactory{"ManyConnections",
-                     [] { return MakeStore(ManyConnections()); }}),
+    ::testing::Values(StoreFactory{"WithDefaults",
+                                   [] { return MakeStore({}); }},
+                      StoreFactory{"OneWriteAtATime",
+                                   [] { return MakeStore(OneWriteAtATime()); }},
+                      StoreFactory{"ManyConnections",
+                                   [] { return MakeStore(ManyConnections()); }},
+                      StoreFactory{"WithTheTablesOfBefore",
+                                   [] { return MakeStoreOfVersion4(); },
+                                   /*keeps_deleted_pairs=*/false}),
     NameOf);
 
 class PostgresStorageTest : public ::testing::Test {
@@ -158,6 +173,51 @@ TEST_F(PostgresStorageTest, OfMigrationsAtATimeOneMakesTheTables) {
   for (std::thread& thread : threads) thread.join();
   EXPECT_EQ(made, 1);
   EXPECT_NE(MustOpen(empty), nullptr);
+}
+
+TEST_F(PostgresStorageTest, KeepsDeletedPairsFromTheMigrationOn) {
+  Sql(kToVersion4);
+  const auto storage = MustOpen(conninfo_);
+  BlockingWrites write(storage.get());
+  const VehicleKey key = *write.Create("truck");
+  const auto decide_and_undo = [&](std::uint64_t revision) {
+    const PairKind kind = PairKind::kLoopClosure;
+    EXPECT_THAT(write.AddPair(key, kind, {"a", 2, 1, 0}, revision), IsOk());
+    EXPECT_THAT(write.DeletePair(key, kind, "a", revision + 1), IsOk());
+  };
+  decide_and_undo(2);
+  EXPECT_THAT(*storage->ListDeletedPairs(key), IsEmpty());
+  const auto report = MigrateDatabase(conninfo_);
+  ASSERT_THAT(report, IsOk());
+  EXPECT_EQ(report->version_before, 4);
+  EXPECT_EQ(report->version_after, kSchemaVersion);
+  // The server goes on, and knows at once.
+  decide_and_undo(4);
+  EXPECT_EQ(storage->ListDeletedPairs(key)->size(), 1u);
+  // A server of before knows nothing of these rows where it deletes vehicles.
+  Sql("DELETE FROM vehicles");
+  EXPECT_EQ(Sql("SELECT count(*) FROM deleted_pose_pairs"), "0\n");
+}
+
+TEST_F(PostgresStorageTest, FindsAndGivesUpDamageOfDeletedPairs) {
+  const auto storage = MustOpen(conninfo_);
+  BlockingWrites write(storage.get());
+  const VehicleKey key = *write.Create("truck");
+  ASSERT_THAT(write.Append(key, {1, 1, 2, "a"}), IsOk());
+  for (const std::uint64_t revision : {3, 5}) {
+    const PairKind kind = PairKind::kRejectedCandidate;
+    ASSERT_THAT(write.AddPair(key, kind, {"a", 2, 1, 0}, revision), IsOk());
+    ASSERT_THAT(write.DeletePair(key, kind, "a", revision + 1), IsOk());
+  }
+  Sql("UPDATE deleted_pose_pairs SET kind = 1 WHERE number = 2");
+  EXPECT_THAT(storage->ListDeletedPairs(key)->front().pair.damage,
+              IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
+                      HasSubstr("deletion 2 of vehicle 'truck'")));
+  EXPECT_THAT(CheckDatabase(conninfo_)->damaged_vehicles, ElementsAre("truck"));
+  ASSERT_THAT(write.DropDamaged(key, 1, "payload", 7), IsOk());
+  ASSERT_EQ(storage->ListDeletedPairs(key)->size(), 1u);
+  EXPECT_EQ(storage->ListDeletedPairs(key)->front().number, 1u);
+  EXPECT_THAT(CheckDatabase(conninfo_)->problems, IsEmpty());
 }
 
 TEST_F(PostgresStorageTest, SaysWhatIsWrongWithTheDatabaseItIsGiven) {

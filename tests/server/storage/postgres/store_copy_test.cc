@@ -51,6 +51,8 @@ std::vector<std::string> Everything(Storage& storage) {
       const auto pairs = storage.ListPosePairs(vehicle.key, kind, "", 100'000);
       for (const std::string& text : ToTexts(*pairs)) texts.push_back(text);
     }
+    const auto deleted = storage.ListDeletedPairs(vehicle.key);
+    for (const std::string& text : ToTexts(*deleted)) texts.push_back(text);
   }
   return texts;
 }
@@ -104,6 +106,13 @@ class StoreCopyTest : public ::testing::Test {
                                     600 + i),
                       IsOk());
         }
+        for (std::uint64_t i = 27; i < 30; ++i) {
+          DeletedPairRecord deleted;
+          deleted.kind = kind;
+          deleted.pair = {"p" + std::to_string(i), i + 2, 1, 7, "payload"};
+          deleted.delete_time_ns = 8;
+          EXPECT_THAT(write.DeletePair(key, deleted, 700 + i), IsOk());
+        }
       }
     }
     return storage;
@@ -124,7 +133,8 @@ TEST_F(StoreCopyTest, CopiesAFileIntoADatabaseAndBackWithAllKeys) {
     EXPECT_EQ(copied->vehicles, 4);
     EXPECT_EQ(copied->batches, 1200);
     EXPECT_EQ(copied->revised_batches, 60);
-    EXPECT_EQ(copied->loop_closures, 90);
+    EXPECT_EQ(copied->loop_closures, 81);
+    EXPECT_EQ(copied->deleted_pairs, 18);
     const auto found = CheckDatabase(conninfo);
     ASSERT_THAT(found, IsOk());
     EXPECT_THAT(found->problems, IsEmpty());
@@ -177,6 +187,16 @@ TEST_F(StoreCopyTest, TakesNothingIntoAStoreThatIsNotEmpty) {
   EXPECT_THAT(FillFile(Path("source.db")),
               IsError(StatusCode::kFailedPrecondition, _,
                       HasSubstr("there is a store at")));
+}
+
+TEST_F(StoreCopyTest, TakesNothingIntoTablesThatHaveNoRoomForDeletedPairs) {
+  const std::string conninfo = PostgresServer::Shared()->MakeStore();
+  PostgresServer::Shared()->Run(
+      conninfo,
+      "DROP TABLE deleted_pose_pairs; UPDATE schema_version SET version = 4");
+  EXPECT_THAT(FillDatabase(conninfo),
+              IsError(StatusCode::kFailedPrecondition, _,
+                      HasSubstr("revisitd migrate")));
 }
 
 TEST_F(StoreCopyTest, LeavesNothingWhereItWasNotFinished) {

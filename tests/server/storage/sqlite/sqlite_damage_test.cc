@@ -9,6 +9,7 @@
 
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "server/storage/sqlite/store_check.h"
 #include "tests/server/error_matchers.h"
 #include "tests/server/storage/sqlite/sqlite_testing.h"
 #include "tests/server/storage_testing.h"
@@ -203,6 +204,37 @@ TEST_F(SqliteStorageTest, FindsDamageOfPairs) {
           IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
                   AllOf(HasSubstr(WordsOf(kind).noun), HasSubstr("'truck'"))));
     }
+  }
+}
+
+TEST_F(SqliteStorageTest, FindsAndGivesUpDamageOfDeletedPairs) {
+  for (const char* damage :
+       {"number = 3", "kind = 1", "kind = 3", "id = 'lint'", "format = 1",
+        "query_sequence = 5", "matched_sequence = 3", "create_time_ns = 98",
+        "delete_time_ns = 98", "payload = 'x'"}) {
+    SCOPED_TRACE(damage);
+    RemoveStore();
+    const VehicleKey key = MakeStore();
+    {
+      const std::unique_ptr<Storage> storage = MustOpen(Path());
+      BlockingWrites write(storage.get());
+      ASSERT_THAT(write.DeletePair(key, PairKind::kLoopClosure, "link", 8),
+                  IsOk());
+      ASSERT_THAT(write.DeletePair(key, PairKind::kRejectedCandidate, "no", 9),
+                  IsOk());
+    }
+    RunSql(Path(), "UPDATE deleted_pose_pairs SET " + std::string(damage) +
+                       " WHERE number = 2");
+    EXPECT_THAT(CheckStore(Path(), StoreUse::kIdle)->damaged_vehicles,
+                ElementsAre("truck"));
+    const std::unique_ptr<Storage> storage = MustOpen(Path());
+    EXPECT_THAT(storage->ListDeletedPairs(key)->front().pair.damage,
+                IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
+                        HasSubstr("of vehicle 'truck'")));
+    ASSERT_THAT(BlockingWrites(storage.get()).DropDamaged(key, 6, "new", 30),
+                IsOk());
+    EXPECT_THAT(ToTexts(*storage->ListDeletedPairs(key)),
+                ElementsAre("1, closure link: 0 at 0, 0 ns, deleted at 0 ns"));
   }
 }
 

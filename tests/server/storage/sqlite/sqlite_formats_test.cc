@@ -15,14 +15,15 @@ using absl::StatusCode;
 using ::testing::AllOf;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
+using ::testing::IsEmpty;
 
 TEST_F(SqliteStorageTest, RefusesNewerFormat) {
   MakeStore();
-  RunSql(Path(), "PRAGMA user_version = 6");
+  RunSql(Path(), "PRAGMA user_version = 7");
   EXPECT_THAT(OpenSqliteStorage(Path()),
               IsError(StatusCode::kFailedPrecondition, "",
-                      AllOf(HasSubstr("has format 6"),
-                            HasSubstr("this server reads formats 4 to 5"),
+                      AllOf(HasSubstr("has format 7"),
+                            HasSubstr("this server reads formats 4 to 6"),
                             HasSubstr("use a newer server"))));
 }
 
@@ -32,7 +33,7 @@ TEST_F(SqliteStorageTest, RefusesFormatThatWasNeverReleased) {
   EXPECT_THAT(OpenSqliteStorage(Path()),
               IsError(StatusCode::kFailedPrecondition, "",
                       AllOf(HasSubstr("has format 3"),
-                            HasSubstr("this server reads formats 4 to 5"))));
+                            HasSubstr("this server reads formats 4 to 6"))));
 }
 
 TEST_F(SqliteStorageTest, RefusesFileOfAnotherProgramAndLeavesItAsItIs) {
@@ -52,53 +53,107 @@ TEST_F(SqliteStorageTest, RefusesFileThatIsNoDatabase) {
                       HasSubstr("is not a store of revisit")));
 }
 
-TEST_F(SqliteStorageTest, WritesFormat5) {
+TEST_F(SqliteStorageTest, WritesFormat6) {
   // Golden: a change here is a new format. The checksums were printed by this
   // program once; record_checksum.h says what they are made of.
   const VehicleKey key = MakeStore();
   EXPECT_EQ(key, 1);
+  {
+    DeletedPairRecord deleted;
+    deleted.kind = PairKind::kRejectedCandidate;
+    deleted.pair = {"gone", 5, 2, 101, "said"};
+    deleted.delete_time_ns = 102;
+    const std::unique_ptr<Storage> storage = MustOpen(Path());
+    BlockingWrites write(storage.get());
+    ASSERT_THAT(write.AddPair(key, deleted.kind, deleted.pair, 7), IsOk());
+    ASSERT_THAT(write.DeletePair(key, deleted, 7), IsOk());
+  }
   EXPECT_EQ(RunSql(Path(), "PRAGMA application_id; PRAGMA user_version"),
-            "1381389140\n5\n");
+            "1381389140\n6\n");
   EXPECT_EQ(RunSql(Path(), "PRAGMA journal_mode"), "wal\n");
   EXPECT_EQ(RunSql(Path(), "PRAGMA page_size"), "8192\n");
   EXPECT_EQ(RunSql(Path(),
                    "SELECT name FROM sqlite_schema WHERE type = "
                    "'table' ORDER BY name"),
-            "batches\ndeleted_snapshots\ndeleted_vehicles\nloop_closures\n"
+            "batches\ndeleted_pose_pairs\ndeleted_snapshots\n"
+            "deleted_vehicles\nloop_closures\n"
             "rejected_candidates\nrevised_batches\nsnapshot_parts\nsnapshots\n"
             "sqlite_sequence\nstore\nvehicles\n");
   EXPECT_EQ(RunSql(Path(),
                    "SELECT key, id, format, revision, checksum, "
                    "payload FROM vehicles"),
-            "1|truck|5|7|-849705879005082293|payload\n");
+            "1|truck|6|7|-378043371729410139|payload\n");
   EXPECT_EQ(RunSql(Path(), "PRAGMA auto_vacuum"), "2\n");
   // Where store_state.h says that it stands; of the rest only the number of the
   // commit, the creation's included, and that it was the last are known.
   EXPECT_EQ(RunSql(Path(),
                    "SELECT key, substr(state, 1, 8), hex(substr(state, 25, "
                    "8)), hex(substr(state, 49, 8)), length(state) FROM store"),
-            "1|RVSTATE3|0900000000000000|0100000000000000|64\n");
+            "1|RVSTATE3|0C00000000000000|0100000000000000|64\n");
   const std::string batch =
       "SELECT vehicle_key, first_sequence, count, format, revision, checksum, "
       "payload FROM ";
   EXPECT_EQ(RunSql(Path(), batch + "batches"),
-            "1|1|2|5|2|5854594566563219142|alpha\n"
-            "1|3|2|5|3|-2588423461738458171|beta\n"
-            "1|5|2|5|4|-588482591432174812|gamma\n");
+            "1|1|2|6|2|1663941130652305546|alpha\n"
+            "1|3|2|6|3|4802856297871863142|beta\n"
+            "1|5|2|6|4|4734102177889975241|gamma\n");
   EXPECT_EQ(RunSql(Path(), batch + "revised_batches"),
-            "1|5|2|5|5|289742499483280071|GAMMA\n");
+            "1|5|2|6|5|-7756420075551789252|GAMMA\n");
   const std::string pair =
       "SELECT vehicle_key, id, format, query_sequence, matched_sequence, "
       "create_time_ns, checksum, payload FROM ";
   EXPECT_EQ(RunSql(Path(), pair + "loop_closures"),
-            "1|link|5|6|1|99|7278644712121708534|measured\n");
+            "1|link|6|6|1|99|-8944790561869085503|measured\n");
   EXPECT_EQ(RunSql(Path(), pair + "rejected_candidates"),
-            "1|no|5|6|2|100|-6714604230668513376|\n");
+            "1|no|6|6|2|100|5282240857298780020|\n");
+  EXPECT_EQ(RunSql(Path(),
+                   "SELECT vehicle_key, number, kind, id, format, "
+                   "query_sequence, matched_sequence, create_time_ns, "
+                   "delete_time_ns, checksum, payload FROM deleted_pose_pairs"),
+            "1|1|2|gone|6|5|2|101|102|-2133251583030350011|said\n");
+}
+
+// Makes the store of MakeStore() what a server of format 5 left: the same, but
+// for what was deleted. The checksums are those that such a server wrote.
+constexpr char kToFormat5[] = R"sql(
+DROP TABLE deleted_pose_pairs;
+UPDATE vehicles SET format = 5, checksum = -849705879005082293;
+UPDATE batches SET format = 5, checksum = 5854594566563219142
+  WHERE first_sequence = 1;
+UPDATE batches SET format = 5, checksum = -2588423461738458171
+  WHERE first_sequence = 3;
+UPDATE batches SET format = 5, checksum = -588482591432174812
+  WHERE first_sequence = 5;
+UPDATE revised_batches SET format = 5, checksum = 289742499483280071;
+UPDATE loop_closures SET format = 5, checksum = 7278644712121708534;
+UPDATE rejected_candidates SET format = 5, checksum = -6714604230668513376;
+PRAGMA user_version = 5;
+)sql";
+
+TEST_F(SqliteStorageTest, StoreOfFormat5OpensAndKeepsWhatIsDeletedFromThenOn) {
+  MakeStore();
+  RunSql(Path(), kToFormat5);
+  {
+    const std::unique_ptr<Storage> storage = MustOpen(Path());
+    EXPECT_EQ(ToText(*storage->GetVehicle("truck")),
+              "truck 1: 1 closures, 1 rejected, to 6, revision 7, 'payload'");
+    EXPECT_THAT(
+        ToTexts(*ReadAll(*storage, 1, 1, 6)),
+        ElementsAre("1+2, revision 2, 'alpha'", "3+2, revision 3, 'beta'",
+                    "5+2, revision 5, 'GAMMA'"));
+    EXPECT_THAT(*storage->ListDeletedPairs(1), IsEmpty());
+    BlockingWrites write(storage.get());
+    EXPECT_THAT(write.DeletePair(1, PairKind::kLoopClosure, "link", 8), IsOk());
+  }
+  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "6\n");
+  EXPECT_EQ(MustOpen(Path())->ListDeletedPairs(1)->size(), 1u);
 }
 
 // Makes the store of MakeStore() what a server of format 4 left: the same, but
-// for snapshots. The checksums are those that such a server wrote.
+// for snapshots and what was deleted. The checksums are those that such a
+// server wrote.
 constexpr char kToFormat4[] = R"sql(
+DROP TABLE deleted_pose_pairs;
 DROP TABLE snapshots;
 DROP TABLE snapshot_parts;
 DROP TABLE deleted_snapshots;
@@ -130,8 +185,9 @@ TEST_F(SqliteStorageTest, StoreOfFormat4OpensAndGainsSnapshots) {
     EXPECT_EQ(SnapshotOf(*storage, 1), "none");
     EXPECT_THAT(write.PutSnapshotPart(1, 0, "part"), IsOk());
     EXPECT_THAT(write.PutSnapshot(1, {6, 1, "rest"}), IsOk());
+    EXPECT_THAT(*storage->ListDeletedPairs(1), IsEmpty());
   }
-  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "5\n");
+  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "6\n");
   EXPECT_EQ(RunSql(Path(), "SELECT format, count(*) FROM batches GROUP BY 1"),
             "4|3\n");
   EXPECT_EQ(SnapshotOf(*MustOpen(Path()), 1), "to 6: part, 'rest'");
