@@ -1,7 +1,9 @@
 #include "core/drive/agreement.h"
 
 #include "core/drive/confirmed_loop.h"
+#include "core/drive/frame_relation.h"
 #include "core/drive/pose_graph.h"
+#include "core/geometry/frame_transform.h"
 #include "core/geometry/quadratic_form.h"
 #include "core/geometry/state_matrix.h"
 #include "core/noise/chi_squared.h"
@@ -10,20 +12,43 @@
 namespace revisit::core {
 namespace {
 
+// `gamma` is inflated.
+template <int D>
+std::optional<Agreement> Judge(const StateVector<D>& difference,
+                               const StateMatrix<D>& gamma,
+                               const StateMatrix<D>& measurement,
+                               double inflation) {
+  const std::optional<QuadraticForm> form =
+      Evaluate<D>(StateMatrix<D>(gamma + measurement), difference);
+  if (!form) return std::nullopt;
+  return Agreement{form->squared_mahalanobis, D,
+                   ChiSquaredAbove(D, form->squared_mahalanobis), inflation};
+}
+
 template <int D>
 std::optional<Agreement> AgreementIn(const PoseGraph& graph,
                                      const SimilarityModel& model,
                                      const ConfirmedLoop& loop) {
   const Innovation<D> innovation =
       InnovationOf<D>(graph, model.correlation, loop);
-  const std::optional<QuadraticForm> form = Evaluate<D>(
-      StateMatrix<D>(model.inflation * model.inflation * innovation.gamma +
-                     MeasurementCovariance<D>(*loop.measured)),
-      innovation.difference);
-  if (!form) return std::nullopt;
-  return Agreement{form->squared_mahalanobis, D,
-                   ChiSquaredAbove(D, form->squared_mahalanobis),
-                   model.inflation};
+  return Judge<D>(innovation.difference,
+                  model.inflation * model.inflation * innovation.gamma,
+                  MeasurementCovariance<D>(*loop.measured), model.inflation);
+}
+
+template <int D>
+std::optional<Agreement> AcrossIn(const FrameNodes& nodes,
+                                  const FrameRelation& relation,
+                                  const SimilarityModel& model,
+                                  const ConfirmedLoop& loop) {
+  const auto innovation =
+      InnovationAcross<D>(nodes, relation, loop, model.inflation);
+  if (!innovation) return std::nullopt;
+  const Pose matched = Compose(loop.measured->query.pose,
+                               Inverse(loop.measured->measurement.relative));
+  return Judge<D>(innovation->difference, innovation->gamma,
+                  MeasuredFromQuery<D>(*loop.measured, matched),
+                  model.inflation);
 }
 
 }  // namespace
@@ -34,6 +59,15 @@ std::optional<Agreement> AgreementOf(const PoseGraph& graph,
   return model.state_space == StateSpace::kPlanar
              ? AgreementIn<3>(graph, model, loop)
              : AgreementIn<4>(graph, model, loop);
+}
+
+std::optional<Agreement> AgreementAcross(const FrameNodes& nodes,
+                                         const FrameRelation& relation,
+                                         const SimilarityModel& model,
+                                         const ConfirmedLoop& loop) {
+  return model.state_space == StateSpace::kPlanar
+             ? AcrossIn<3>(nodes, relation, model, loop)
+             : AcrossIn<4>(nodes, relation, model, loop);
 }
 
 }  // namespace revisit::core

@@ -9,6 +9,8 @@ namespace revisit::core {
 
 class PoseGraph;
 struct ConfirmedLoop;
+struct FrameNodes;
+struct FrameRelation;
 struct SimilarityModel;
 
 struct Agreement {
@@ -25,6 +27,13 @@ struct Agreement {
 std::optional<Agreement> AgreementOf(const PoseGraph& graph,
                                      const SimilarityModel& model,
                                      const ConfirmedLoop& loop);
+
+// The same for poses of two recordings: `relation` is that of the query's frame
+// to the matched one. Nothing where these are not tied either.
+std::optional<Agreement> AgreementAcross(const FrameNodes& nodes,
+                                         const FrameRelation& relation,
+                                         const SimilarityModel& model,
+                                         const ConfirmedLoop& loop);
 
 }  // namespace revisit::core
 

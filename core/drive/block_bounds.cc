@@ -1,10 +1,8 @@
 #include "core/drive/block_bounds.h"
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 
-#include "core/geometry/state_matrix.h"
-#include "core/noise/dead_reckoning.h"
+#include "core/drive/block_growth.h"
 
 namespace revisit::core {
 namespace {
@@ -13,27 +11,6 @@ constexpr auto kBlock = static_cast<NodeIndex>(NodeBlock::kSize);
 
 NodeIndex FirstNode(std::size_t block) {
   return static_cast<NodeIndex>(block) * kBlock;
-}
-
-// Whether the error at the later node can be the error at the earlier one,
-// carried on by dead reckoning, plus new noise in every direction.
-template <int D>
-bool NoiseIsAdded(const PoseGraph& graph, NodeIndex earlier, NodeIndex later) {
-  const Node from = graph.node(earlier);
-  const Node to = graph.node(later);
-  const StateMatrix<D> psi = DeadReckoningTransition<D>(from.pose, to.pose);
-  const StateMatrix<D> added =
-      ToMatrix<D>(to.covariance) -
-      psi * ToMatrix<D>(from.covariance) * psi.transpose();
-  const Eigen::LDLT<StateMatrix<D>> ldlt(added);
-  return ldlt.info() == Eigen::Success && ldlt.isPositive() &&
-         ldlt.vectorD().minCoeff() > 0.0;
-}
-
-bool NoiseIsAdded(StateSpace space, const PoseGraph& graph, NodeIndex earlier,
-                  NodeIndex later) {
-  return space == StateSpace::kPlanar ? NoiseIsAdded<3>(graph, earlier, later)
-                                      : NoiseIsAdded<4>(graph, earlier, later);
 }
 
 }  // namespace

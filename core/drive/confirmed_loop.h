@@ -31,6 +31,11 @@
 
 namespace revisit::core {
 
+// R_c where nothing was measured: a verifier confirms that two poses are at one
+// place, which is some 10 m wide (two standard deviations), but not how they
+// lie to each other.
+inline constexpr PlaceTolerance kConfirmedTolerance{5.0, 0.15};
+
 struct ConfirmedLoop {
   // The last nodes at or before the two poses.
   NodeIndex query = 0;

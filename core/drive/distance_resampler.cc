@@ -61,6 +61,12 @@ std::optional<Jump> DistanceResampler::Add(const PoseSample& sample,
     anchor_to_last_ =
         (ToMatrix<4>(*sample.transition) * anchor_to_last_).eval();
   }
+  if (sample.recording_start) {
+    // Errors of one recording tell nothing of those of another.
+    if (options_.carry_transitions) node_to_anchor_.setZero();
+    StartSegment(sample, graph);
+    return std::nullopt;
+  }
   const double step =
       Distance(anchor_->pose, sample.pose, options_.state_space);
   if (has_skipped_ || options_.IsJump(step)) {

@@ -11,7 +11,8 @@
 // pose than `standstill_fraction` of the spacing is not counted itself, so the
 // jitter of a parked estimator does not add up. A step longer than
 // `max_step_meters` is a jump: it is reported, adds no distance, and starts a
-// new segment at the pose after it.
+// new segment at the pose after it. So does a pose that begins a recording,
+// which is no jump: what lies between is no step in either frame.
 #ifndef REVISIT_CORE_DRIVE_DISTANCE_RESAMPLER_H_
 #define REVISIT_CORE_DRIVE_DISTANCE_RESAMPLER_H_
 
@@ -46,6 +47,10 @@ class DistanceResampler {
   void Skip(std::uint64_t last_sequence, double meters,
             const std::optional<ErrorTransition>& transition);
 
+  // The last counted pose; nothing before the first.
+  std::optional<Pose> last_pose() const {
+    return anchor_ ? std::optional<Pose>(anchor_->pose) : std::nullopt;
+  }
   // Path length up to the last counted pose, without jumps.
   double travelled_meters() const { return travelled_meters_; }
 

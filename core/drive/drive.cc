@@ -14,14 +14,17 @@
 #include "core/drive/consistency_monitor.h"
 #include "core/drive/distance_resampler.h"
 #include "core/drive/dropped_stretch.h"
+#include "core/drive/frame_relations.h"
 #include "core/drive/frame_watch.h"
 #include "core/drive/model_check.h"
 #include "core/drive/motion_history.h"
 #include "core/drive/node_range.h"
 #include "core/drive/pose_graph.h"
+#include "core/drive/recordings.h"
 #include "core/drive/retention.h"
 #include "core/drive/stamps.h"
 #include "core/geometry/pose.h"
+#include "core/geometry/state_matrix.h"
 #include "core/noise/similarity_model.h"
 
 namespace revisit::core {
@@ -122,6 +125,14 @@ struct Drive::Impl {
   void ExtendWatches();
   // Estimates the consistency anew from all confirmed loops.
   void RebuildMonitor();
+  // What a closure of two recordings shows is how their frames lie, and nothing
+  // of the claims.
+  bool IsWithinRecording(const ConfirmedLoop& loop) const {
+    return recordings.Of(loop.query) == recordings.Of(loop.matched);
+  }
+  FrameNodes Frames() const {
+    return {graph, settings.state_space, CorrelationOf(settings.search)};
+  }
 
   DriveSettings settings;
   PoseGraph graph;
@@ -129,6 +140,7 @@ struct Drive::Impl {
   MotionHistory motion_history;
   BlockBounds block_bounds;
   DroppedStretches dropped;
+  Recordings recordings;
   std::uint64_t last_sequence = 0;
   std::uint64_t revision = 0;
   std::uint64_t mark_settings_version = 1;
@@ -239,7 +251,7 @@ Drive::Impl::Found Drive::Impl::FoundSoFar() const {
 
 void Drive::Impl::ExtendWatches() {
   leap_watch.Extend(graph, dropped);
-  frame_watch.Extend(graph, dropped, settings.node_spacing_meters);
+  frame_watch.Extend(graph, dropped, recordings, settings.node_spacing_meters);
 }
 
 // A setting that differs may come to the same in whole nodes.
@@ -267,7 +279,9 @@ std::optional<std::pair<NodeIndex, NodeIndex>> Drive::Impl::LoopEdge(
 
 void Drive::Impl::RebuildMonitor() {
   monitor = ConsistencyMonitor(MakeConsistencyOptions(settings));
-  for (const Confirmed& each : confirmed) monitor.Confirm(graph, each.loop);
+  for (const Confirmed& each : confirmed) {
+    if (IsWithinRecording(each.loop)) monitor.Confirm(graph, each.loop);
+  }
 }
 
 std::string Drive::Impl::StateKey() const {
@@ -314,7 +328,8 @@ const PoseGraph& Drive::graph() const { return impl_->graph; }
 
 std::size_t Drive::bytes() const {
   return impl_->graph.bytes() + impl_->motion_history.bytes() +
-         impl_->block_bounds.bytes() + impl_->dropped.bytes();
+         impl_->block_bounds.bytes() + impl_->dropped.bytes() +
+         impl_->recordings.bytes();
 }
 
 std::uint64_t Drive::last_sequence() const { return impl_->last_sequence; }
@@ -326,6 +341,8 @@ double Drive::travelled_meters() const {
 std::uint64_t Drive::revision() const { return impl_->revision; }
 
 const DroppedStretches& Drive::dropped() const { return impl_->dropped; }
+
+const Recordings& Drive::recordings() const { return impl_->recordings; }
 
 const MotionHistory& Drive::motion_history() const {
   return impl_->motion_history;
@@ -350,8 +367,14 @@ AppendResult Drive::Append(const std::vector<PoseSample>& samples,
   const Impl::Found before = impl_->FoundSoFar();
   for (const PoseSample& sample : samples) {
     assert(sample.sequence == impl_->last_sequence + 1);
-    impl_->model_check.Look(sample);
     const NodeIndex first_new = impl_->graph.size();
+    if (sample.recording_start) {
+      impl_->recordings.Begin(sample.sequence, first_new,
+                              sample.recording_start,
+                              impl_->resampler.last_pose().value_or(Pose()));
+      impl_->model_check.Skip();
+    }
+    impl_->model_check.Look(sample);
     if (std::optional<Jump> jump =
             impl_->resampler.Add(sample, &impl_->graph)) {
       result.jumps.push_back(*jump);
@@ -433,6 +456,9 @@ std::unique_ptr<DroppableSearch> Drive::SearchDroppable(
     std::optional<std::int64_t> latest_ns) const {
   RetentionNeeds needs = impl_->MakeRetentionNeeds();
   needs.loop_ends = LoopEnds();
+  for (std::size_t k = 1; k < impl_->recordings.size(); ++k) {
+    needs.recording_starts.push_back(impl_->recordings[k].first_node);
+  }
   return std::make_unique<DroppableSearch>(
       impl_->graph, impl_->settings.retention, std::move(needs), latest_ns);
 }
@@ -486,7 +512,10 @@ void Drive::AddLoopClosure(std::uint64_t query_sequence,
         {query_sequence,
          matched_sequence,
          {edge->first, edge->second, std::move(measured)}});
-    impl_->monitor.Confirm(impl_->graph, impl_->confirmed.back().loop);
+    const ConfirmedLoop& loop = impl_->confirmed.back().loop;
+    if (impl_->IsWithinRecording(loop)) {
+      impl_->monitor.Confirm(impl_->graph, loop);
+    }
   }
   impl_->revision = revision;
 }
@@ -516,8 +545,33 @@ std::optional<Agreement> Drive::AgreementOf(
   const std::optional<NodeIndex> matched =
       impl_->graph.NodeAtOrBefore(matched_sequence);
   if (!query || !matched) return std::nullopt;
-  return core::AgreementOf(impl_->graph, SimilarityOf(impl_->settings.search),
-                           {*query, *matched, measured});
+  const SimilarityModel model = SimilarityOf(impl_->settings.search);
+  const ConfirmedLoop loop{*query, *matched, measured};
+  if (impl_->IsWithinRecording(loop)) {
+    return core::AgreementOf(impl_->graph, model, loop);
+  }
+  const FrameRelations relations = RelationsAt(impl_->graph.size() - 1);
+  const std::size_t from = impl_->recordings.Of(*query);
+  return AgreementAcross(relations.nodes(),
+                         relations.From(from)[impl_->recordings.Of(*matched)],
+                         model, loop);
+}
+
+std::vector<ConfirmedLoop> Drive::LoopsUpTo(NodeIndex query) const {
+  std::vector<ConfirmedLoop> loops;
+  for (const Impl::Confirmed& confirmed : impl_->confirmed) {
+    const ConfirmedLoop& loop = confirmed.loop;
+    if (std::max(loop.query, loop.matched) <= query) loops.push_back(loop);
+  }
+  return loops;
+}
+
+FrameRelations Drive::RelationsAt(NodeIndex query) const {
+  return {impl_->Frames(), impl_->recordings, query, LoopsUpTo(query)};
+}
+
+FrameRelations Drive::RelationsWithoutLoops(NodeIndex query) const {
+  return {impl_->Frames(), impl_->recordings, query, {}};
 }
 
 void Drive::AddRejection(std::uint64_t query_sequence,
@@ -579,6 +633,7 @@ std::string Drive::SaveRest(std::size_t parts) const {
   impl_->resampler.Save(&writer);
   impl_->model_check.Save(&writer);
   writer.Put(impl_->next_check);
+  impl_->recordings.Save(&writer);
   return writer.Take();
 }
 
@@ -602,8 +657,10 @@ bool Drive::LoadRest(absl::string_view bytes) {
                            &reader) ||
       !impl_->resampler.Load(impl_->graph, impl_->last_sequence, &reader) ||
       !impl_->model_check.Load(&reader) || !reader.Get(&impl_->next_check) ||
-      impl_->next_check < 0 || !reader.rest().empty() ||
-      whole_parts() < parts) {
+      impl_->next_check < 0 ||
+      !impl_->recordings.Load(impl_->settings.state_space, impl_->graph.size(),
+                              impl_->last_sequence, &reader) ||
+      !reader.rest().empty() || whole_parts() < parts) {
     return false;
   }
   impl_->motion_history.EndLoading();
@@ -613,11 +670,15 @@ bool Drive::LoadRest(absl::string_view bytes) {
 }
 
 std::optional<ConfirmedLoop> Drive::LastConfirmed(NodeIndex query) const {
+  const std::size_t recording = impl_->recordings.Of(query);
   const ConfirmedLoop* last = nullptr;
   for (const Impl::Confirmed& confirmed : impl_->confirmed) {
     const ConfirmedLoop& loop = confirmed.loop;
     const NodeIndex later = std::max(loop.query, loop.matched);
-    if (later > query) continue;
+    if (later > query || !impl_->IsWithinRecording(loop) ||
+        impl_->recordings.Of(later) != recording) {
+      continue;
+    }
     if (last == nullptr || later >= std::max(last->query, last->matched)) {
       last = &loop;
     }
@@ -637,14 +698,20 @@ SimilarityModel Drive::SimilarityOf(const SearchOptions& options) const {
 
 std::vector<NodeRange> Drive::NotSought(NodeIndex query,
                                         double separation_meters) const {
-  std::vector<NodeRange> nodes = {
-      NodesNearer(impl_->graph, query, separation_meters)};
+  const Recordings& recordings = impl_->recordings;
+  const auto nearer = [&](NodeIndex centre, double meters) {
+    return Common(
+        NodesNearer(impl_->graph, centre, meters),
+        recordings.NodesOf(recordings.Of(centre), impl_->graph.size()));
+  };
+  std::vector<NodeRange> nodes = {nearer(query, separation_meters)};
   // Slightly more, so that nodes at exactly this distance are excluded too.
   const double around =
       std::max(separation_meters, kPlaceRadiusMeters) * (1.0 + 1e-9);
   for (const auto& [rejected_query, rejected_match] : impl_->rejected) {
-    if (impl_->graph.MetersApart(rejected_query, query) <= around) {
-      nodes.push_back(NodesNearer(impl_->graph, rejected_match, around));
+    if (recordings.Of(rejected_query) == recordings.Of(query) &&
+        impl_->graph.MetersApart(rejected_query, query) <= around) {
+      nodes.push_back(nearer(rejected_match, around));
     }
   }
   return nodes;

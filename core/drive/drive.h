@@ -30,8 +30,10 @@ namespace revisit::core {
 class BlockBounds;
 class DroppableSearch;
 class DroppedStretches;
+class FrameRelations;
 class MotionHistory;
 class PoseGraph;
+class Recordings;
 struct Agreement;
 struct ConfirmedLoop;
 struct DroppedStretch;
@@ -73,7 +75,8 @@ class Drive {
   std::vector<Finding> findings() const;
 
   // REQUIRES: samples without defect, whose sequence numbers follow
-  // last_sequence(); revision greater than revision().
+  // last_sequence(), and which begin no more than kMostRecordings recordings in
+  // all; revision greater than revision().
   AppendResult Append(const std::vector<PoseSample>& samples,
                       std::uint64_t revision);
 
@@ -84,6 +87,9 @@ class Drive {
 
   // The stretches that were skipped.
   const DroppedStretches& dropped() const;
+
+  // The recordings, each of which has a frame of its own.
+  const Recordings& recordings() const;
 
   // A search for the nodes that the vehicle's settings do not keep
   // (retention.h). Poses may be appended, and loop closures added, while it
@@ -124,8 +130,8 @@ class Drive {
                          std::size_t occurrence = 0);
 
   // How well a measurement agrees with the graph, with the inflation that
-  // searches apply; nothing where that is ill-conditioned. REQUIRES: as for
-  // AddLoopClosure().
+  // searches apply; nothing where that is ill-conditioned, or nothing ties the
+  // frames of the two poses. REQUIRES: as for AddLoopClosure().
   std::optional<Agreement> AgreementOf(
       std::uint64_t query_sequence, std::uint64_t matched_sequence,
       const std::shared_ptr<const MeasuredLoop>& measured) const;
@@ -180,12 +186,21 @@ class Drive {
   // Counts the changes of settings under which marks show something else; above
   // 0.
   std::uint64_t mark_settings_version() const;
-  // The last confirmed loop whose nodes both lie at or before the query.
+  // The last confirmed loop whose nodes both lie at or before the query, in its
+  // recording.
   std::optional<ConfirmedLoop> LastConfirmed(NodeIndex query) const;
+  // The confirmed loops whose nodes both lie at or before the query, in the
+  // order in which they were confirmed.
+  std::vector<ConfirmedLoop> LoopsUpTo(NodeIndex query) const;
+  // How the frames of the recordings up to the query's lie to each other, by
+  // the confirmed loops whose nodes both lie at or before it.
+  FrameRelations RelationsAt(NodeIndex query) const;
+  // The same without any loop.
+  FrameRelations RelationsWithoutLoops(NodeIndex query) const;
   // The model that the options ask for, inflated as the settings say.
   SimilarityModel SimilarityOf(const SearchOptions& options) const;
   // Nodes that may not be candidates at the query: those near it, and those
-  // rejected there.
+  // rejected there. Only nodes of one recording are near each other.
   std::vector<NodeRange> NotSought(NodeIndex query,
                                    double separation_meters) const;
 

@@ -138,6 +138,7 @@ std::optional<NewFrame> Judge(const Way& way, double return_meters) {
 }  // namespace
 
 void FrameWatch::Extend(const PoseGraph& graph, const DroppedStretches& dropped,
+                        const Recordings& recordings,
                         double node_spacing_meters) {
   const double return_meters = node_spacing_meters + kReturnMeters;
   for (; next_ < graph.size(); ++next_) {
@@ -146,11 +147,12 @@ void FrameWatch::Extend(const PoseGraph& graph, const DroppedStretches& dropped,
     for (; gaps_ < gaps.size() && gaps[gaps_].node <= next_; ++gaps_) {
       is_behind_gap = true;
     }
-    Look(graph, next_, is_behind_gap, return_meters);
+    const NodeIndex first = recordings[recordings.Of(next_)].first_node;
+    Look(graph, next_, first, is_behind_gap || next_ == first, return_meters);
   }
 }
 
-void FrameWatch::Look(const PoseGraph& graph, NodeIndex index,
+void FrameWatch::Look(const PoseGraph& graph, NodeIndex index, NodeIndex first,
                       bool is_behind_gap, double return_meters) {
   if (is_behind_gap) ends_count_ = 0;
   const Node node = graph.node(index);
@@ -163,7 +165,7 @@ void FrameWatch::Look(const PoseGraph& graph, NodeIndex index,
   if ((is_behind_jump || is_behind_step) &&
       MayBegin(graph, End(before), node)) {
     Way way;
-    way.first = graph.node(0);
+    way.first = graph.node(first);
     way.before = graph.node(End(before));
     if (is_behind_step) way.middle = graph.node(End(0));
     way.after = node;

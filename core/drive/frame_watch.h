@@ -15,7 +15,9 @@
 //            way of this length: nobody has said that the start is uncertain.
 //
 // A leap is at least kLeapMeters long, and kUsualSteps times as long as the
-// step before it. Nothing is judged over poses that were dropped.
+// step before it. Nothing is judged over poses that were dropped, nor where a
+// recording begins: there the caller has told of the frame. The first node is
+// that of the recording.
 //
 // The watch compares nodes: the last one before a step between two poses, and
 // the first one behind it. So what is seen is a function of the graph alone,
@@ -33,6 +35,7 @@
 #include "core/drive/dropped_stretch.h"
 #include "core/drive/findings.h"
 #include "core/drive/pose_graph.h"
+#include "core/drive/recordings.h"
 
 namespace revisit::core {
 
@@ -49,17 +52,18 @@ class FrameWatch {
   // than the way.
   static constexpr double kUsualGrowth = 1.25;
 
-  // Looks at the nodes by which the graph has grown. REQUIRES: the same three
+  // Looks at the nodes by which the graph has grown. REQUIRES: the same four
   // at each call.
   void Extend(const PoseGraph& graph, const DroppedStretches& dropped,
-              double node_spacing_meters);
+              const Recordings& recordings, double node_spacing_meters);
 
   // The last frame that has begun; null if none has.
   const NewFrame* last() const { return last_.get(); }
 
  private:
-  void Look(const PoseGraph& graph, NodeIndex index, bool is_behind_gap,
-            double return_meters);
+  // `first`: the first node of the recording.
+  void Look(const PoseGraph& graph, NodeIndex index, NodeIndex first,
+            bool is_behind_gap, double return_meters);
   // The last node of a stretch between two poses: 0 is that of the last
   // stretch, 1 that of the one before. REQUIRES: k < ends_count_.
   NodeIndex End(std::size_t k) const { return ends_[ends_count_ - 1 - k]; }

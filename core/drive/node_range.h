@@ -15,6 +15,13 @@ struct NodeRange {
   NodeIndex last = 0;
 };
 
+// The nodes that are in both.
+inline NodeRange Common(const NodeRange& a, const NodeRange& b) {
+  const NodeIndex first = a.first > b.first ? a.first : b.first;
+  const NodeIndex last = a.last < b.last ? a.last : b.last;
+  return {first, last < first ? first : last};
+}
+
 // The first of [first, last) with a property that all after it have too; `last`
 // if none has it. O(log n).
 template <typename Property>

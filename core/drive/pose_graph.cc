@@ -137,11 +137,11 @@ const std::vector<NodeIndex>& PoseGraph::LoopNeighbours(NodeIndex i) const {
   return found == loop_neighbours_.end() ? kNone : found->second;
 }
 
-bool PoseGraph::HasLoopEdgeAmong(NodeIndex count) const {
+bool PoseGraph::HasLoopEdgeAmong(NodeIndex first, NodeIndex end) const {
   for (const auto& [node, neighbours] : loop_neighbours_) {
-    if (node >= count) continue;
+    if (node < first || node >= end) continue;
     for (const NodeIndex other : neighbours) {
-      if (other < count) return true;
+      if (other >= first && other < end) return true;
     }
   }
   return false;

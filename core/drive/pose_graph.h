@@ -227,9 +227,9 @@ class PoseGraph {
   std::optional<NodeIndex> NodeAtOrBefore(std::uint64_t sequence) const;
 
   bool has_loop_edges() const { return !loop_neighbours_.empty(); }
-  // Whether a loop-closure edge joins two of the first `count` nodes. O(1 +
-  // loop edges), without a copy of them.
-  bool HasLoopEdgeAmong(NodeIndex count) const;
+  // Whether a loop-closure edge joins two of the nodes [first, end). O(1 + loop
+  // edges), without a copy of them.
+  bool HasLoopEdgeAmong(NodeIndex first, NodeIndex end) const;
 
   // Other ends of the loop-closure edges at node i, in the order in which the
   // edges were added.

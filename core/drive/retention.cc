@@ -8,6 +8,7 @@
 #include <tuple>
 #include <unordered_map>
 #include <utility>
+#include <vector>
 
 #include "core/drive/node_noise.h"
 #include "core/drive/pose_graph.h"
@@ -49,11 +50,12 @@ class Coverage {
   bool IsCovered(NodeIndex i) {
     if (!MayBeSure(i)) return false;
     const Pose pose = graph_.pose(i);
-    const Cell centre = CellOf(pose);
+    const Cell centre = CellOf(i, pose);
     near_.clear();
     for (std::int64_t x = -1; x <= 1; ++x) {
       for (std::int64_t y = -1; y <= 1; ++y) {
-        const auto cell = cells_.find({centre.x + x, centre.y + y});
+        const auto cell =
+            cells_.find({centre.recording, centre.x + x, centre.y + y});
         if (cell == cells_.end()) continue;
         for (const Kept& kept : cell->second) {
           const double dx = kept.x - pose.x;
@@ -79,7 +81,7 @@ class Coverage {
   void Keep(NodeIndex i) {
     if (i % stride_ != 0 || !MayBeSure(i)) return;
     const Pose pose = graph_.pose(i);
-    std::vector<Kept>& cell = cells_[CellOf(pose)];
+    std::vector<Kept>& cell = cells_[CellOf(i, pose)];
     if (cell.size() < kComparedPerPass * static_cast<std::size_t>(passes_)) {
       cell.push_back({pose.x, pose.y, i});
     }
@@ -92,18 +94,21 @@ class Coverage {
   }
 
  private:
+  // A square of one recording's frame.
   struct Cell {
+    std::ptrdiff_t recording;
     std::int64_t x;
     std::int64_t y;
     bool operator==(const Cell& other) const {
-      return x == other.x && y == other.y;
+      return recording == other.recording && x == other.x && y == other.y;
     }
   };
   struct HashOfCell {
     std::size_t operator()(const Cell& cell) const {
       const auto x = static_cast<std::uint64_t>(cell.x);
       const auto y = static_cast<std::uint64_t>(cell.y);
-      std::uint64_t hash = (x * 0x9e3779b97f4a7c15u) ^ y;
+      const auto recording = static_cast<std::uint64_t>(cell.recording);
+      std::uint64_t hash = (x * 0x9e3779b97f4a7c15u) ^ y ^ (recording << 40);
       hash = (hash ^ (hash >> 32)) * 0xd6e8feb86659fd93u;
       return hash ^ (hash >> 32);
     }
@@ -114,8 +119,10 @@ class Coverage {
     NodeIndex node;
   };
 
-  Cell CellOf(const Pose& pose) const {
-    return {static_cast<std::int64_t>(std::floor(pose.x / reach_)),
+  Cell CellOf(NodeIndex i, const Pose& pose) const {
+    const std::vector<NodeIndex>& starts = needs_.recording_starts;
+    return {std::upper_bound(starts.begin(), starts.end(), i) - starts.begin(),
+            static_cast<std::int64_t>(std::floor(pose.x / reach_)),
             static_cast<std::int64_t>(std::floor(pose.y / reach_))};
   }
 
@@ -199,6 +206,10 @@ class DroppableSearch::Impl {
                                   needs_.newest_nodes, latest_ns});
     }
     Keep(size_ - needs_.newest_nodes, size_);
+    for (const NodeIndex start : needs_.recording_starts) {
+      Keep(start - 1, start + 1);
+    }
+    if (!needs_.recording_starts.empty()) Keep(0, 1);
     KeepLoopEnds(needs_.loop_ends);
   }
 

@@ -18,6 +18,10 @@
 //
 // What is too old, stamps.h says.
 //
+// Passes are counted within a recording, since only there all is in one frame.
+// The first and the last node of each recording stay: by them its frame is tied
+// to others.
+//
 // A search finds a node by the path that leads to it, so what has to stay,
 // stays together with as many nodes before it as a search aligns.
 #ifndef REVISIT_CORE_DRIVE_RETENTION_H_
@@ -63,9 +67,11 @@ struct RetentionNeeds {
   // nodes before it as a search aligns, and those within kPassRadiusMeters
   // behind it.
   std::vector<NodeIndex> loop_ends;
+  // The first nodes of recordings, but for the drive's first, in order.
+  std::vector<NodeIndex> recording_starts;
 };
 
-// Whether all but the loop ends are equal.
+// Whether all but the nodes that stay are equal.
 bool HaveSameRules(const RetentionNeeds& a, const RetentionNeeds& b);
 
 // Looks for the nodes of a graph that are to be dropped, a part at a time: for

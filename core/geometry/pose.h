@@ -12,6 +12,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <limits>
+#include <memory>
 #include <optional>
 #include <string>
 
@@ -68,6 +69,8 @@ struct ErrorTransition {
   std::array<double, 16> values{1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
 };
 
+struct RecordingStart;
+
 // One pose of the stream, as the estimator reports it.
 struct PoseSample {
   // 1, 2, 3, ... without a gap.
@@ -79,6 +82,8 @@ struct PoseSample {
   // The transition from the pose before to this one. For the FILTER correlation
   // model only.
   std::optional<ErrorTransition> transition;
+  // Where the pose is the first of a recording (recording_start.h); else null.
+  std::shared_ptr<const RecordingStart> recording_start = nullptr;
 };
 
 // Why a pose is refused.

@@ -2,15 +2,21 @@
 
 #include <algorithm>
 #include <cassert>
+#include <cmath>
+#include <map>
+#include <memory>
 #include <utility>
 #include <vector>
 
+#include "core/drive/block_growth.h"
 #include "core/drive/claimed_model.h"
 #include "core/drive/confirmed_loop.h"
 #include "core/drive/drive.h"
 #include "core/drive/dropped_stretch.h"
+#include "core/drive/frame_relations.h"
 #include "core/drive/node_range.h"
 #include "core/drive/pose_graph.h"
+#include "core/drive/recordings.h"
 #include "core/noise/noise_model.h"
 #include "core/search/alignment/history.h"
 #include "core/search/alignment/query.h"
@@ -30,6 +36,13 @@ namespace {
 // at hand does not need are forgotten. A search needs at most a sixth of it.
 constexpr std::size_t kMostMarksKept =
     6 * static_cast<std::size_t>(kMostScaleMarks + kDriftMarks);
+
+// How far the recent path and another recording are compared, at least.
+constexpr double kOverlapAcrossMeters = 1000.0;
+
+// Recordings and references of which is kept where errors grow, beyond those of
+// one search.
+constexpr std::size_t kMostGrowingKept = 4096;
 
 // Fills in what a search finds that has something to compare.
 absl::Status FindCandidates(const SearchTask& task, CandidateSet* set) {
@@ -73,9 +86,15 @@ class Search::Impl {
   struct Extent {
     // Why there is nothing to compare.
     std::optional<EmptyReason> empty;
-    // Nodes of the path that is aligned with the history.
+    // Nodes of the path that is aligned with the history, and with other
+    // recordings.
     std::int64_t aligned = 0;
-    NodeIndex history_size = 0;
+    std::int64_t aligned_across = 0;
+    // The query's recording, and its nodes that are compared.
+    std::size_t recording = 0;
+    NodeRange own;
+    // Whether the recordings before it are compared too.
+    bool across = false;
     std::int64_t comparisons = 0;
   };
   // The marks that show something at a query.
@@ -92,9 +111,19 @@ class Search::Impl {
   // query.
   std::int64_t AlignedNodes(NodeIndex query, std::int64_t sequence_nodes,
                             const SearchOptions& options) const;
-  Query QueryAt(NodeIndex node, const Extent& extent) const;
-  // The drive's own past, as far as it is compared with a query of this extent.
+  std::int64_t AlignedAcross(NodeIndex query, std::int64_t aligned_nodes) const;
+  Query QueryAt(NodeIndex node, std::int64_t aligned) const;
+  // The past of the query's own recording, as far as it is compared with a
+  // query of this extent.
   History PastOf(const Extent& extent, std::vector<NodeRange> not_sought) const;
+  // Fills in the histories of a task of this extent. `belief`: what marks have
+  // shown, or null.
+  void AddHistories(const Extent& extent,
+                    const std::vector<NodeRange>& not_sought,
+                    const DriveBelief* belief, SearchTask* task);
+  // In which blocks of a recording errors grow to or from this node.
+  const std::vector<char>* GrowingBlocks(std::size_t recording,
+                                         std::optional<NodeIndex> reference);
   // Searches the marks that are not known. Returns CANCELLED if told to stop.
   absl::StatusOr<SearchPrior> PriorAt(NodeIndex query,
                                       const SearchOptions& options,
@@ -106,11 +135,19 @@ class Search::Impl {
                                        const ShouldStop& should_stop);
   // Whether a mark shows the drift at the query.
   bool ShowsDrift(const MarkEvidence& mark, NodeIndex query) const;
+  // The last closure that ties the recordings of both, up to the query.
+  std::optional<ConfirmedLoop> LastConfirmedBetween(std::size_t a,
+                                                    std::size_t b,
+                                                    NodeIndex query) const;
   // The evidence of a mark at this node. `parts`: see SearchTask.
   absl::StatusOr<MarkEvidence> EvidenceAt(
       NodeIndex node, const ShouldStop& should_stop,
-      std::vector<AlignmentParts>* parts = nullptr) const;
+      std::vector<AlignmentParts>* parts = nullptr);
   MarkLine Marks() const;
+  SearchTask MakeTask(NodeIndex query, const Extent& extent,
+                      const SearchOptions& options, SearchPrior prior,
+                      const ShouldStop& should_stop) const;
+  NodeIndex FirstOfRecording(NodeIndex node) const;
   // Whether a search with these options aligns the path that a mark there does.
   bool AlignsAsMarks(const SearchOptions& options) const;
   // Searches the mark at the query, if there is one that is not known. The
@@ -120,6 +157,9 @@ class Search::Impl {
 
   const Drive& drive_;
   MarkMemory marks_;
+  // BlocksGrowing() of recordings that are over, whose nodes stay as they are,
+  // by recording and reference.
+  std::map<std::pair<std::size_t, NodeIndex>, std::vector<char>> growing_;
 };
 
 Search::Search(const Drive* drive) : impl_(std::make_unique<Impl>(drive)) {}
@@ -180,16 +220,18 @@ absl::StatusOr<CandidateSet> Search::Impl::At(NodeIndex query,
   }
   absl::StatusOr<SearchPrior> prior = PriorAt(query, options, should_stop);
   if (!prior.ok()) return prior.status();
-  std::vector<AlignmentParts> parts(1);
-  const SearchTask task{
-      QueryAt(query, extent),
-      {PastOf(extent,
-              drive_.NotSought(query, options.candidate_separation_meters))},
-      options,
-      drive_.settings().node_spacing_meters,
-      *std::move(prior),
-      should_stop,
-      &parts};
+  if (growing_.size() > kMostGrowingKept) growing_.clear();
+  SearchTask task =
+      MakeTask(query, extent, options, *std::move(prior), should_stop);
+  if (extent.across) {
+    task.frames =
+        std::make_shared<const FrameRelations>(drive_.RelationsAt(query));
+  }
+  AddHistories(extent,
+               drive_.NotSought(query, options.candidate_separation_meters),
+               task.prior.belief ? &*task.prior.belief : nullptr, &task);
+  std::vector<AlignmentParts> parts(task.histories.size());
+  task.parts = &parts;
   const absl::Status status = FindCandidates(task, &set);
   if (!status.ok()) return status;
   if (task.prior.belief && AlignsAsMarks(options)) {
@@ -207,15 +249,24 @@ Search::Impl::Extent Search::Impl::ExtentOf(
     extent.empty = EmptyReason::kPathTooShort;
     return extent;
   }
+  const Recordings& recordings = drive_.recordings();
+  extent.recording = recordings.Of(query);
   // Eq. 5: the graph without the nodes of the sequence.
-  extent.history_size = query - steps + 1;
-  if (extent.history_size == 0) {
+  extent.own = {recordings[extent.recording].first_node, query - steps + 1};
+  extent.across =
+      extent.own.first > 0 && options.alignment == AlignmentKind::kRelative;
+  const NodeIndex own_size = extent.own.last - extent.own.first;
+  if (own_size == 0 && !extent.across) {
     extent.empty = EmptyReason::kNoHistory;
     return extent;
   }
   extent.aligned = AlignedNodes(query, steps, options);
-  extent.comparisons =
-      extent.aligned * extent.history_size *
+  extent.comparisons = extent.aligned * own_size;
+  if (extent.across) {
+    extent.aligned_across = AlignedAcross(query, extent.aligned);
+    extent.comparisons += extent.aligned_across * extent.own.first;
+  }
+  extent.comparisons *=
       static_cast<std::int64_t>(Directions(options.direction).size());
   return extent;
 }
@@ -224,9 +275,10 @@ Search::Impl::Extent Search::Impl::ExtentOfSearch(
     NodeIndex query, const SearchOptions& options) const {
   Extent extent = ExtentOf(query, options);
   if (extent.empty) return extent;
-  if (drive_.graph().node(query).travelled_meters -
-          drive_.graph().node(0).travelled_meters <
-      options.candidate_separation_meters) {
+  if (!extent.across &&
+      drive_.graph().node(query).travelled_meters -
+              drive_.graph().node(extent.own.first).travelled_meters <
+          options.candidate_separation_meters) {
     extent = Extent();
     extent.empty = EmptyReason::kAllSuppressed;
   } else if (extent.comparisons > options.max_comparisons) {
@@ -299,7 +351,7 @@ absl::StatusOr<DriveBelief> Search::Impl::BeliefAt(
     const auto found = evidence(mark);
     if (!found.ok()) return found.status();
     if (!ShowsDrift(**found, query)) continue;
-    belief.LearnDrift(drive_.graph(), **found,
+    belief.LearnDrift(drive_.graph(), drive_.recordings(), **found,
                       kDriftReach * line.spacing_meters);
   }
   marks_.Tidy(kMostMarksKept, [&](std::int64_t mark) {
@@ -321,23 +373,38 @@ bool Search::Impl::AlignsAsMarks(const SearchOptions& options) const {
          own.shape == options.shape;
 }
 
-// The next search will need the mark, which now takes less.
+// The next search will need the mark, which now takes less. It takes frames as
+// no closure has tied them, so of other recordings it shares the path alone.
 void Search::Impl::RememberIfMark(NodeIndex query,
                                   const ShouldStop& should_stop,
                                   std::vector<AlignmentParts>* parts) {
   const MarkLine line = Marks();
   const std::int64_t mark = line.LastBefore(query) + 1;
   if (mark < 1 || line.NodeOf(mark) != query || marks_.Find(mark)) return;
+  const bool has_own =
+      ExtentOf(query, MarkOptions(drive_.settings().search)).own.last >
+      FirstOfRecording(query);
+  for (std::size_t h = has_own ? 1 : 0; h < parts->size(); ++h) {
+    (*parts)[h].parts.reset();
+  }
   const absl::StatusOr<MarkEvidence> found =
       EvidenceAt(query, should_stop, parts);
   if (found.ok()) marks_.Keep(mark, *found);
 }
 
-// What a verifier has judged counts for more: a closure shows the drift better
-// than earlier marks do, and a place that was rejected shows none.
+// What a verifier has judged counts for more: a closure shows the drift, or how
+// frames lie, better than earlier marks do, and a place that was rejected shows
+// none. Drift before the query's recording is another.
 bool Search::Impl::ShowsDrift(const MarkEvidence& mark, NodeIndex query) const {
   if (!mark.matched) return false;
-  if (const auto closure = drive_.LastConfirmed(query)) {
+  const Recordings& recordings = drive_.recordings();
+  const std::size_t recording = recordings.Of(query);
+  if (recordings.Of(mark.node) != recording) return false;
+  const std::size_t matched = recordings.Of(*mark.matched);
+  if (const auto closure =
+          matched == recording
+              ? drive_.LastConfirmed(query)
+              : LastConfirmedBetween(recording, matched, query)) {
     if (mark.node <= std::max(closure->query, closure->matched)) return false;
   }
   const std::vector<NodeRange> not_sought = drive_.NotSought(
@@ -350,7 +417,7 @@ bool Search::Impl::ShowsDrift(const MarkEvidence& mark, NodeIndex query) const {
 
 absl::StatusOr<MarkEvidence> Search::Impl::EvidenceAt(
     NodeIndex node, const ShouldStop& should_stop,
-    std::vector<AlignmentParts>* parts) const {
+    std::vector<AlignmentParts>* parts) {
   const SearchOptions options = MarkOptions(drive_.settings().search);
   const Extent extent = ExtentOf(node, options);
   if (extent.empty) {
@@ -360,25 +427,99 @@ absl::StatusOr<MarkEvidence> Search::Impl::EvidenceAt(
   }
   const NodeRange near =
       NodesNearer(drive_.graph(), node, options.candidate_separation_meters);
-  return SearchMark(
-      SearchTask{QueryAt(node, extent),
-                 {PastOf(extent, {near})},
-                 options,
-                 drive_.settings().node_spacing_meters,
-                 {ClaimedModel(drive_.settings().state_space, options), {}, {}},
-                 should_stop,
-                 parts});
+  SearchTask task =
+      MakeTask(node, extent, options,
+               {ClaimedModel(drive_.settings().state_space, options), {}, {}},
+               should_stop);
+  if (extent.across) {
+    task.frames = std::make_shared<const FrameRelations>(
+        drive_.RelationsWithoutLoops(node));
+  }
+  AddHistories(extent,
+               {Common(near, {extent.own.first, drive_.graph().size()})},
+               nullptr, &task);
+  task.parts = parts;
+  return SearchMark(task);
 }
 
-Query Search::Impl::QueryAt(NodeIndex node, const Extent& extent) const {
-  return {drive_.graph(), node, extent.aligned, &drive_.motion_history()};
+NodeIndex Search::Impl::FirstOfRecording(NodeIndex node) const {
+  const Recordings& recordings = drive_.recordings();
+  return recordings[recordings.Of(node)].first_node;
+}
+
+SearchTask Search::Impl::MakeTask(NodeIndex query, const Extent& extent,
+                                  const SearchOptions& options,
+                                  SearchPrior prior,
+                                  const ShouldStop& should_stop) const {
+  return {
+      QueryAt(query, extent.aligned),
+      QueryAt(query, extent.across ? extent.aligned_across : extent.aligned),
+      {},
+      extent.recording,
+      nullptr,
+      options,
+      drive_.settings().node_spacing_meters,
+      std::move(prior),
+      should_stop};
+}
+
+Query Search::Impl::QueryAt(NodeIndex node, std::int64_t aligned) const {
+  return {drive_.graph(), node, aligned, &drive_.motion_history()};
 }
 
 History Search::Impl::PastOf(const Extent& extent,
                              std::vector<NodeRange> not_sought) const {
-  return {drive_.graph(),         extent.history_size,
+  return {drive_.graph(),         extent.own.last,
           std::move(not_sought),  &drive_.motion_history().heading_bins(),
-          &drive_.block_bounds(), Relation()};
+          &drive_.block_bounds(), Relation(),
+          extent.own.first,       extent.recording};
+}
+
+void Search::Impl::AddHistories(const Extent& extent,
+                                const std::vector<NodeRange>& not_sought,
+                                const DriveBelief* belief, SearchTask* task) {
+  if (extent.own.last > extent.own.first) {
+    task->histories.push_back(PastOf(extent, not_sought));
+  }
+  if (!extent.across) return;
+  const std::vector<FrameRelation> ties = task->frames->From(extent.recording);
+  for (std::size_t k = 0; k < extent.recording; ++k) {
+    const NodeRange nodes =
+        drive_.recordings().NodesOf(k, drive_.graph().size());
+    Relation relation(
+        task->frames->nodes(), ties[k],
+        belief == nullptr ? std::vector<WeighedDrift>() : belief->drifts(k));
+    task->histories.push_back({drive_.graph(), nodes.last, not_sought,
+                               &drive_.motion_history().heading_bins(),
+                               &drive_.block_bounds(), std::move(relation),
+                               nodes.first, k,
+                               GrowingBlocks(k, ties[k].other_node)});
+  }
+}
+
+const std::vector<char>* Search::Impl::GrowingBlocks(
+    std::size_t recording, std::optional<NodeIndex> reference) {
+  if (!reference) return nullptr;
+  const auto [growing, is_new] = growing_.try_emplace({recording, *reference});
+  if (is_new) {
+    growing->second = BlocksGrowing(
+        drive_.settings().state_space, drive_.graph(),
+        drive_.recordings().NodesOf(recording, drive_.graph().size()),
+        *reference);
+  }
+  return &growing->second;
+}
+
+std::optional<ConfirmedLoop> Search::Impl::LastConfirmedBetween(
+    std::size_t a, std::size_t b, NodeIndex query) const {
+  std::optional<ConfirmedLoop> last;
+  const Recordings& recordings = drive_.recordings();
+  for (const ConfirmedLoop& loop : drive_.LoopsUpTo(query)) {
+    const std::size_t from = recordings.Of(loop.query);
+    const std::size_t to = recordings.Of(loop.matched);
+    if ((from == a && to == b) || (from == b && to == a)) last = loop;
+  }
+  return last;
 }
 
 absl::StatusOr<SearchPrior> Search::Impl::PriorAt(
@@ -403,6 +544,20 @@ std::int64_t Search::Impl::AlignedNodes(NodeIndex query,
   }
   return std::min(kOverlapSequences * sequence_nodes,
                   query - drive_.graph().SegmentStart(query) + 1);
+}
+
+// Where frames are not those of one recording, the shape has to show more.
+std::int64_t Search::Impl::AlignedAcross(NodeIndex query,
+                                         std::int64_t aligned_nodes) const {
+  if (!NoiseOf(drive_.settings().search.correlation_model).long_overlaps_tell) {
+    return aligned_nodes;
+  }
+  const double nodes =
+      std::min(kOverlapAcrossMeters / drive_.settings().node_spacing_meters,
+               static_cast<double>(kOverlapSequences * kMaxSequenceNodes));
+  return std::min(
+      std::max(aligned_nodes, static_cast<std::int64_t>(std::ceil(nodes))),
+      query - drive_.graph().SegmentStart(query) + 1);
 }
 
 }  // namespace revisit::core

@@ -6,7 +6,10 @@
 
 #include "core/drive/dropped_stretch.h"
 #include "core/drive/findings.h"
+#include "core/drive/frame_relation.h"
 #include "core/drive/pose_graph.h"
+#include "core/drive/recordings.h"
+#include "core/geometry/recording_start.h"
 #include "core/geometry/state_matrix.h"
 #include "core/settings.h"
 #include "server/conversion/findings.h"
@@ -36,6 +39,15 @@ constexpr EnumRow<v1::GateVerdict, core::GateVerdict> kGateVerdicts[] = {
     {v1::GATE_VERDICT_ACCEPTED, core::GateVerdict::kAccepted},
     {v1::GATE_VERDICT_REJECTED, core::GateVerdict::kRejected},
     {v1::GATE_VERDICT_ILL_CONDITIONED, core::GateVerdict::kIllConditioned}};
+constexpr EnumRow<v1::FrameState, core::FrameState> kFrameStates[] = {
+    {v1::FRAME_STATE_SAME, core::FrameState::kSame},
+    {v1::FRAME_STATE_AFTER, core::FrameState::kAfter},
+    {v1::FRAME_STATE_DATUM, core::FrameState::kDatum},
+    {v1::FRAME_STATE_PROVISIONAL, core::FrameState::kProvisional},
+    {v1::FRAME_STATE_KNOWN, core::FrameState::kKnown},
+    {v1::FRAME_STATE_NONE, core::FrameState::kNone}};
+// Every state of the API but UNSPECIFIED has a row.
+static_assert(std::size(kFrameStates) == v1::FrameState_ARRAYSIZE - 1);
 constexpr EnumRow<v1::EmptyReason, core::EmptyReason> kEmptyReasons[] = {
     {v1::EMPTY_REASON_UNSPECIFIED, core::EmptyReason::kNotEmpty},
     {v1::EMPTY_REASON_PATH_TOO_SHORT, core::EmptyReason::kPathTooShort},
@@ -67,6 +79,14 @@ void EncodeCovariance(const core::Covariance& covariance,
   }
 }
 
+void EncodeStatePose(const core::Pose& pose, core::StateSpace space,
+                     v1::StatePose* message) {
+  message->set_x_meters(pose.x);
+  message->set_y_meters(pose.y);
+  if (space == core::StateSpace::kSpatial) message->set_z_meters(pose.z);
+  message->set_heading_radians(pose.heading);
+}
+
 // ---- Vehicles
 
 void EncodeConfig(const VehicleConfig& config, v1::Vehicle* vehicle) {
@@ -96,6 +116,39 @@ void EncodeConsistency(const core::Consistency& consistency, bool applied,
   message->set_degrees_of_freedom(consistency.degrees_of_freedom);
   message->set_inflation(consistency.inflation);
   message->set_applied(applied);
+}
+
+// ---- Recordings
+
+void EncodeRecordingStart(const core::RecordingStart& start,
+                          core::StateSpace space, v1::RecordingStart* message) {
+  message->set_label(start.label);
+  switch (start.relation) {
+    case core::RecordingRelation::kAfter:
+      EncodeCovariance(start.covariance, space, message->mutable_after());
+      return;
+    case core::RecordingRelation::kDatum: {
+      v1::Datum* const datum = message->mutable_datum();
+      datum->set_datum_id(start.datum_id);
+      EncodeStatePose(start.datum, space, datum->mutable_pose());
+      EncodeCovariance(start.covariance, space, datum->mutable_covariance());
+      return;
+    }
+    case core::RecordingRelation::kUnknown:
+      message->set_unknown(true);
+      return;
+  }
+}
+
+void EncodeFrame(const core::FrameRelation& relation, core::StateSpace space,
+                 v1::Recording* message) {
+  message->set_frame_state(ToProto(kFrameStates, relation.state));
+  if (!relation.is_tied()) return;
+  EncodeStatePose(relation.transform, space, message->mutable_frame_pose());
+  if (relation.state == core::FrameState::kSame) return;
+  EncodeCovariance(core::ToCovariance<4>(relation.fixed + relation.drift),
+                   space, message->mutable_frame_covariance());
+  EncodeStatePose(relation.place, space, message->mutable_frame_reference());
 }
 
 // ---- Candidates
@@ -130,17 +183,16 @@ void EncodeEvidence(const core::RelativeEvidence& evidence,
   interval->set_meters_after(evidence.meters_after);
 }
 
-void EncodeDifference(const core::Candidate& candidate, core::StateSpace space,
-                      v1::PoseDifference* message) {
-  const core::Pose& difference = candidate.difference.difference;
+void EncodeDifference(const core::GatedDifference& gated,
+                      core::StateSpace space, v1::PoseDifference* message) {
+  const core::Pose& difference = gated.difference;
   message->set_x_meters(difference.x);
   message->set_y_meters(difference.y);
   if (space == core::StateSpace::kSpatial) {
     message->set_z_meters(difference.z);
   }
   message->set_heading_radians(difference.heading);
-  EncodeCovariance(candidate.difference.covariance, space,
-                   message->mutable_covariance());
+  EncodeCovariance(gated.covariance, space, message->mutable_covariance());
 }
 
 void EncodeCandidate(const VehicleView& view, const core::Candidate& candidate,
@@ -150,12 +202,19 @@ void EncodeCandidate(const VehicleView& view, const core::Candidate& candidate,
   message->set_score(candidate.score);
   EncodeNode(view.drive.graph(), candidate.matched, space, false,
              message->mutable_matched());
-  EncodeGate(candidate.difference.gate, message->mutable_gate());
-  message->mutable_gate()->set_inflation(candidate.inflation);
+  const core::Recordings& recordings = view.drive.recordings();
+  message->set_recording_of_match(RecordingName(
+      view.id, recordings[recordings.Of(candidate.matched)].first_sequence));
+  message->set_frame_state(ToProto(kFrameStates, candidate.frame_state));
+  if (candidate.difference) {
+    EncodeGate(candidate.difference->gate, message->mutable_gate());
+    message->mutable_gate()->set_inflation(candidate.inflation);
+    EncodeDifference(*candidate.difference, space,
+                     message->mutable_difference());
+  }
   message->set_verdict(ToProto(kVerdicts, candidate.verdict));
   message->set_direction(ToProto(kDirections, candidate.direction));
   if (candidate.relative) EncodeEvidence(*candidate.relative, message);
-  EncodeDifference(candidate, space, message->mutable_difference());
 }
 
 void EncodeAlignedPath(const core::Candidate& candidate,
@@ -234,14 +293,28 @@ void EncodeNode(const core::PoseGraph& graph, core::NodeIndex index,
   node->set_fraction(from.fraction);
   if (from.stamp_ns) EncodeTime(*from.stamp_ns, node->mutable_stamp());
   node->set_travelled_meters(from.travelled_meters);
-  v1::StatePose* pose = node->mutable_pose();
-  pose->set_x_meters(from.pose.x);
-  pose->set_y_meters(from.pose.y);
-  if (space == core::StateSpace::kSpatial) pose->set_z_meters(from.pose.z);
-  pose->set_heading_radians(from.pose.heading);
+  EncodeStatePose(from.pose, space, node->mutable_pose());
   if (with_covariance) {
     EncodeCovariance(from.covariance, space, node->mutable_covariance());
   }
+}
+
+void EncodeRecording(const VehicleView& view, std::size_t k,
+                     const core::FrameRelation& relation,
+                     v1::Recording* message) {
+  const core::StateSpace space = view.config.drive.state_space;
+  const core::Recordings& recordings = view.drive.recordings();
+  const core::Recording& recording = recordings[k];
+  message->set_name(RecordingName(view.id, recording.first_sequence));
+  message->set_first_sequence(recording.first_sequence);
+  message->set_last_sequence(k + 1 < recordings.size()
+                                 ? recordings[k + 1].first_sequence - 1
+                                 : view.durable_sequence);
+  if (recording.start != nullptr) {
+    message->set_label(recording.start->label);
+    EncodeRecordingStart(*recording.start, space, message->mutable_start());
+  }
+  EncodeFrame(relation, space, message);
 }
 
 void EncodeDurability(const Durability& durability,

@@ -1,17 +1,23 @@
-// Answers: vehicles, acknowledgements, nodes and candidates.
+// Answers: vehicles, acknowledgements, nodes, recordings and candidates.
 #ifndef REVISIT_SERVER_CONVERSION_ANSWERS_H_
 #define REVISIT_SERVER_CONVERSION_ANSWERS_H_
 
 #include <chrono>
+#include <cstddef>
 #include <vector>
 
 #include "core/drive/drive.h"
 #include "revisit/v1/candidate.pb.h"
 #include "revisit/v1/pose_graph_service.pb.h"
+#include "revisit/v1/recording.pb.h"
 #include "revisit/v1/vehicle.pb.h"
 #include "server/sessions/append_request.h"
 #include "server/storage/records.h"
 #include "server/storage/storage_facts.h"
+
+namespace revisit::core {
+struct FrameRelation;
+}  // namespace revisit::core
 
 namespace revisit::server {
 
@@ -24,6 +30,13 @@ void EncodeAck(const Acknowledgement& acknowledgement, v1::Ack* ack);
 
 void EncodeNode(const core::PoseGraph& graph, core::NodeIndex index,
                 core::StateSpace space, bool with_covariance, v1::Node* node);
+
+// Encodes recording `k` of the view; `relation` is that of the last recording
+// to it. REQUIRES: the vehicle has poses, and k is below
+// drive.recordings().size().
+void EncodeRecording(const VehicleView& view, std::size_t k,
+                     const core::FrameRelation& relation,
+                     v1::Recording* message);
 
 void EncodeDurability(const Durability& durability,
                       v1::GetServerInfoResponse* response);

@@ -112,10 +112,11 @@ std::string NewFrameText(const core::NewFrame& frame) {
         "grown by far less";
   }
   return text +
-         "; searches find nothing across two frames: send each recording as a "
-         "vehicle of its own, or, if you know where it starts in the frame "
-         "before, poses in that frame, with the uncertainty of the start added "
-         "to the covariance of the pose before";
+         "; searches find nothing across two frames: send the first pose of "
+         "each recording with recording_start (revisit: --recording), which "
+         "says how much is known of where its frame lies, so that searches "
+         "look in the recordings before it too; poses that are stored without "
+         "one have to be sent again, to a new vehicle";
 }
 
 std::string TextOf(const core::Finding& finding) {

@@ -31,6 +31,11 @@ std::string DeletedPairResourceName(const std::string& vehicle_id,
   return absl::StrCat(VehicleName(vehicle_id), "/deletedPosePairs/", number);
 }
 
+std::string RecordingName(const std::string& vehicle_id,
+                          std::uint64_t first_sequence) {
+  return absl::StrCat(VehicleName(vehicle_id), "/recordings/", first_sequence);
+}
+
 absl::Status CheckId(const std::string& id, const FieldPath& path) {
   const auto alphanumeric = [](char c) {
     return (c >= 'a' && c <= 'z') || (c >= '0' && c <= '9');

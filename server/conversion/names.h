@@ -24,6 +24,10 @@ std::string PosePairResourceName(PairKind kind, const std::string& vehicle_id,
 std::string DeletedPairResourceName(const std::string& vehicle_id,
                                     std::uint64_t number);
 
+// `vehicles/{vehicle}/recordings/{first_sequence}`.
+std::string RecordingName(const std::string& vehicle_id,
+                          std::uint64_t first_sequence);
+
 // INVALID_ARGUMENT (INVALID_RESOURCE_NAME) unless the id matches the pattern of
 // ids.
 absl::Status CheckId(const std::string& id, const FieldPath& path);

@@ -70,8 +70,8 @@ void PoseInspector::Look(const std::vector<core::PoseSample>& samples,
     if (done()) return;
     ++looked_;
     LookAtHeading(sample, warnings);
-    if (!first_) {
-      first_ = last_ = step_start_ = sample;
+    if (!first_ || sample.recording_start) {
+      BeginFrame(sample);
       continue;
     }
     path_meters_ += MetersBetween(last_, sample);
@@ -80,6 +80,15 @@ void PoseInspector::Look(const std::vector<core::PoseSample>& samples,
     LookForDegrees(sample, warnings);
     last_ = sample;
   }
+}
+
+// Nothing of a way can be told across two frames.
+void PoseInspector::BeginFrame(const core::PoseSample& sample) {
+  first_ = last_ = step_start_ = sample;
+  first_looked_ = looked_;
+  path_meters_ = 0.0;
+  steps_.clear();
+  step_meters_ = 0.0;
 }
 
 void PoseInspector::LookAtHeading(const core::PoseSample& sample,
@@ -207,7 +216,7 @@ void PoseInspector::JudgeCourse(std::uint64_t sequence,
 void PoseInspector::LookForDegrees(const core::PoseSample& sample,
                                    Warnings* warnings) {
   if (warned_of_degrees_ || frame_ != CoordinateFrame::kLocal ||
-      looked_ < kLeastCreepingPoses) {
+      looked_ - first_looked_ + 1 < kLeastCreepingPoses) {
     return;
   }
   const core::Pose& pose = sample.pose;

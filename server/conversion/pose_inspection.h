@@ -56,6 +56,7 @@ class PoseInspector {
     std::optional<double> meters_per_second;
   };
 
+  void BeginFrame(const core::PoseSample& sample);
   void LookAtHeading(const core::PoseSample& sample, Warnings* warnings);
   void LookAtStamps(const core::PoseSample& sample, Warnings* warnings);
   void LookAtMotion(const core::PoseSample& sample, Warnings* warnings);
@@ -67,7 +68,9 @@ class PoseInspector {
 
   const CoordinateFrame frame_;
   int looked_ = 0;
+  // The first pose in the present frame, and its number among all.
   std::optional<core::PoseSample> first_;
+  int first_looked_ = 0;
   core::PoseSample last_;
   bool warned_of_heading_ = false;
   bool warned_of_stamps_ = false;

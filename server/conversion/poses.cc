@@ -61,7 +61,8 @@ void DropUnknownFields(Poses* poses) {
         is_clean(pose.has_local(), pose.local()) &&
         is_clean(pose.has_geodetic(), pose.geodetic()) &&
         is_clean(pose.has_quaternion(), pose.quaternion()) &&
-        is_clean(pose.has_covariance(), pose.covariance())) {
+        is_clean(pose.has_covariance(), pose.covariance()) &&
+        !pose.has_recording_start()) {
       continue;
     }
     pose.DiscardUnknownFields();

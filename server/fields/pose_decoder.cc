@@ -9,6 +9,7 @@
 #include "core/geometry/pose.h"
 #include "server/base/sequences.h"
 #include "server/fields/covariances.h"
+#include "server/fields/recording_starts.h"
 #include "server/fields/timestamps.h"
 
 namespace revisit::server {
@@ -63,6 +64,7 @@ core::PoseSample PoseDecoder::Decode(const PoseFields& pose,
     Refuse(path.Field("covariance"), "required");
   }
   DecodeTransition(pose, path, &sample);
+  DecodeRecordingStart(pose, path, &sample);
   if (violations_->count() != violations_before) return sample;
 
   if (pose.has_geodetic()) {
@@ -194,7 +196,8 @@ void PoseDecoder::DecodeTransition(const PoseFields& pose,
     return;
   }
   const int size = core::DegreesOfFreedom(space_);
-  const bool optional = pose.sequence == 1 || source_ == PoseSource::kRevision;
+  const bool optional = pose.sequence == 1 || pose.recording_start ||
+                        source_ == PoseSource::kRevision;
   if (given == 0 && optional) return;
   if (given != size * size) {
     Refuse(field,
@@ -214,6 +217,24 @@ void PoseDecoder::DecodeTransition(const PoseFields& pose,
     transition.values[TransitionIndex(space_, i / size, i % size)] = value;
   }
   if (finite) sample->transition = transition;
+}
+
+// A revision leaves the starts of recordings alone.
+void PoseDecoder::DecodeRecordingStart(const PoseFields& pose,
+                                       const FieldPath& path,
+                                       core::PoseSample* sample) {
+  if (!pose.recording_start || source_ == PoseSource::kRevision) return;
+  const FieldPath field = path.Field("recording_start");
+  if (config_.frame == CoordinateFrame::kGeodetic) {
+    Refuse(field,
+           "got one; this vehicle's coordinate frame is GEODETIC, which all of "
+           "its poses share");
+    return;
+  }
+  const TextCheck texts =
+      source_ == PoseSource::kStored ? TextCheck::kNone : TextCheck::kAll;
+  sample->recording_start = server::DecodeRecordingStart(
+      *pose.recording_start, space_, texts, field, violations_);
 }
 
 void PoseDecoder::ToLocalFrame(const PoseFields& pose, const Forward& forward,

@@ -55,6 +55,8 @@ class PoseDecoder {
       const std::array<double, 4>& quaternion, const FieldPath& path);
   void DecodeTransition(const PoseFields& pose, const FieldPath& path,
                         core::PoseSample* sample);
+  void DecodeRecordingStart(const PoseFields& pose, const FieldPath& path,
+                            core::PoseSample* sample);
   void ToLocalFrame(const PoseFields& pose, const Forward& forward,
                     const FieldPath& path, core::PoseSample* sample);
   void Refuse(const FieldPath& path, const std::string& description);

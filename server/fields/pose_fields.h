@@ -5,7 +5,9 @@
 
 #include <array>
 #include <cstdint>
+#include <memory>
 #include <optional>
+#include <string>
 
 #include "google/protobuf/repeated_field.h"
 #include "google/protobuf/timestamp.pb.h"
@@ -33,6 +35,23 @@ struct CovarianceFields {
   const google::protobuf::RepeatedField<double>* values = nullptr;
 };
 
+// Where a recording begins, as its message has it. It points into the message,
+// which has to outlive it.
+struct RecordingStartFields {
+  enum class Relation : std::uint8_t { kNone, kAfter, kDatum, kUnknown };
+
+  // Never null.
+  const std::string* label = nullptr;
+  Relation relation = Relation::kNone;
+  // Of kAfter, or of the datum, where that has one.
+  std::optional<CovarianceFields> covariance;
+  // Of kDatum: never null, and x, y, z in metres and the heading in radians.
+  const std::string* datum_id = nullptr;
+  std::optional<std::array<double, 4>> datum_pose;
+  // The value of kUnknown.
+  bool unknown = false;
+};
+
 // A pose as its message has it: nothing is checked. Small numbers are copied,
 // so that messages need not be; what is long or seldom there stays in the
 // message, which has to outlive this.
@@ -52,6 +71,8 @@ struct PoseFields {
   std::optional<CovarianceFields> covariance;
   // Never null; empty if absent.
   const google::protobuf::RepeatedField<double>* error_transition = nullptr;
+  // Null if absent, as it is in most poses.
+  std::shared_ptr<const RecordingStartFields> recording_start;
 
   bool has_geodetic() const { return position_kind == Position::kGeodetic; }
 };
@@ -60,6 +81,34 @@ struct PoseFields {
 template <typename Covariance>
 CovarianceFields CovarianceFieldsOf(const Covariance& covariance) {
   return {static_cast<CovarianceForm>(covariance.form()), &covariance.values()};
+}
+
+// Start: a message with the fields of a recording's start by their names.
+template <typename Start>
+RecordingStartFields RecordingStartFieldsOf(const Start& start) {
+  using Relation = RecordingStartFields::Relation;
+  RecordingStartFields fields;
+  fields.label = &start.label();
+  if (start.has_after()) {
+    fields.relation = Relation::kAfter;
+    fields.covariance = CovarianceFieldsOf(start.after());
+  } else if (start.has_datum()) {
+    const auto& datum = start.datum();
+    fields.relation = Relation::kDatum;
+    fields.datum_id = &datum.datum_id();
+    if (datum.has_pose()) {
+      const auto& pose = datum.pose();
+      fields.datum_pose = {pose.x_meters(), pose.y_meters(), pose.z_meters(),
+                           pose.heading_radians()};
+    }
+    if (datum.has_covariance()) {
+      fields.covariance = CovarianceFieldsOf(datum.covariance());
+    }
+  } else if (start.has_unknown()) {
+    fields.relation = Relation::kUnknown;
+    fields.unknown = start.unknown();
+  }
+  return fields;
 }
 
 // Pose: a message with the fields of a pose by their names.
@@ -91,6 +140,10 @@ PoseFields PoseFieldsOf(const Pose& pose) {
     fields.covariance = CovarianceFieldsOf(pose.covariance());
   }
   fields.error_transition = &pose.error_transition();
+  if (pose.has_recording_start()) {
+    fields.recording_start = std::make_shared<const RecordingStartFields>(
+        RecordingStartFieldsOf(pose.recording_start()));
+  }
   return fields;
 }
 
@@ -172,6 +225,37 @@ void SetEstimate(const PoseFields& fields, Pose* pose) {
   }
 }
 
+template <typename Start>
+void SetRecordingStart(const RecordingStartFields& fields, Start* start) {
+  start->Clear();
+  start->set_label(*fields.label);
+  switch (fields.relation) {
+    case RecordingStartFields::Relation::kNone:
+      break;
+    case RecordingStartFields::Relation::kAfter:
+      SetCovariance(*fields.covariance, start->mutable_after());
+      break;
+    case RecordingStartFields::Relation::kDatum: {
+      auto* const datum = start->mutable_datum();
+      datum->set_datum_id(*fields.datum_id);
+      if (fields.datum_pose) {
+        auto* const pose = datum->mutable_pose();
+        pose->set_x_meters((*fields.datum_pose)[0]);
+        pose->set_y_meters((*fields.datum_pose)[1]);
+        pose->set_z_meters((*fields.datum_pose)[2]);
+        pose->set_heading_radians((*fields.datum_pose)[3]);
+      }
+      if (fields.covariance) {
+        SetCovariance(*fields.covariance, datum->mutable_covariance());
+      }
+      break;
+    }
+    case RecordingStartFields::Relation::kUnknown:
+      start->set_unknown(fields.unknown);
+      break;
+  }
+}
+
 template <typename Pose>
 void SetPose(const PoseFields& fields, Pose* pose) {
   pose->set_sequence(fields.sequence);
@@ -183,6 +267,11 @@ void SetPose(const PoseFields& fields, Pose* pose) {
   }
   SetEstimate(fields, pose);
   *pose->mutable_error_transition() = *fields.error_transition;
+  if (fields.recording_start) {
+    SetRecordingStart(*fields.recording_start, pose->mutable_recording_start());
+  } else {
+    pose->clear_recording_start();
+  }
 }
 
 template <typename Measurement>

@@ -45,6 +45,20 @@ void Replace(const PoseFields& revised, const VehicleConfig& config,
   SetEstimate(revised, stored);
 }
 
+// The pose begins no recording any more. Where it had no transition for that
+// reason, its error is independent of those before it, as it was.
+void TakeStart(const VehicleConfig& config, stored::Pose* pose) {
+  if (pose->has_recording_start() && pose->error_transition().empty() &&
+      core::NoiseOf(config.drive.search.correlation_model)
+          .carries_transitions) {
+    core::ErrorTransition none;
+    none.values.fill(0.0);
+    EncodeTransition(none, config.drive.state_space,
+                     pose->mutable_error_transition());
+  }
+  pose->clear_recording_start();
+}
+
 }  // namespace
 
 void BatchEncoder::Measure(const PoseFields& pose) {
@@ -69,7 +83,7 @@ std::uint8_t* BatchEncoder::Add(const StoredPose& stored,
 
 absl::StatusOr<std::optional<BatchRecord>> ReviseBatch(
     const BatchRecord& stored, const VehicleConfig& config,
-    const RevisedPose& revised) {
+    RevisedStarts starts, const RevisedPose& revised) {
   absl::StatusOr<stored::PoseBatch> batch = ParseBatch(stored.payload);
   if (!batch.ok()) return batch.status();
   bool any = false;
@@ -78,6 +92,9 @@ absl::StatusOr<std::optional<BatchRecord>> ReviseBatch(
     if (!replacement) continue;
     any = true;
     Replace(*replacement, config, &pose);
+    if (starts == RevisedStarts::kFirst && pose.sequence() > 1) {
+      TakeStart(config, &pose);
+    }
   }
   if (!any) return std::optional<BatchRecord>();
   BatchRecord record;

@@ -53,12 +53,20 @@ class BatchEncoder {
 using RevisedPose =
     std::function<std::optional<PoseFields>(std::uint64_t sequence)>;
 
+// Which recordings begin with the poses of a revised batch.
+enum class RevisedStarts {
+  // Those that began with the stored poses.
+  kStay,
+  // That of the vehicle's first pose: all of the new ones are in one frame.
+  kFirst,
+};
+
 // The batch with new estimates; nothing if none of its poses is replaced.
 // Stamps stay; so do error transitions where the new pose brings none.
 // REQUIRES: the new poses are valid (PoseDecoder, PoseSource::kRevision).
 absl::StatusOr<std::optional<BatchRecord>> ReviseBatch(
     const BatchRecord& stored, const VehicleConfig& config,
-    const RevisedPose& revised);
+    RevisedStarts starts, const RevisedPose& revised);
 
 // Calls `visit` with each pose of a stored batch, in order, until it says
 // false; with none where they were dropped. The fields are valid during the

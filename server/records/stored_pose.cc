@@ -1,5 +1,6 @@
 #include "server/records/stored_pose.h"
 
+#include <algorithm>
 #include <array>
 #include <cstring>
 
@@ -22,7 +23,7 @@ constexpr std::uint32_t Tag(int field, WireType type) {
 
 // Up to here, a tag has one byte.
 constexpr int kMostField = 15;
-static_assert(stored::Pose::kErrorTransitionFieldNumber <= kMostField);
+static_assert(stored::Pose::kRecordingStartFieldNumber <= kMostField);
 
 std::uint64_t BitsOf(double value) {
   std::uint64_t bits;
@@ -144,6 +145,13 @@ StoredPose::StoredPose(const PoseFields& pose) {
         PackedSize(*pose.covariance->values));
     size_ += BytesSize(covariance_size_);
   }
+  if (pose.recording_start) {
+    stored::RecordingStart start;
+    SetRecordingStart(*pose.recording_start, &start);
+    recording_start_ =
+        std::make_unique<const std::string>(start.SerializeAsString());
+    size_ += BytesSize(recording_start_->size());
+  }
 }
 
 std::uint8_t* StoredPose::Write(const PoseFields& pose,
@@ -178,8 +186,14 @@ std::uint8_t* StoredPose::Write(const PoseFields& pose,
     next = WritePacked(stored::Covariance::kValuesFieldNumber,
                        *pose.covariance->values, next);
   }
-  return WritePacked(stored::Pose::kErrorTransitionFieldNumber,
+  next = WritePacked(stored::Pose::kErrorTransitionFieldNumber,
                      *pose.error_transition, next);
+  if (recording_start_ != nullptr) {
+    next = BeginBytes(stored::Pose::kRecordingStartFieldNumber,
+                      recording_start_->size(), next);
+    next = std::copy(recording_start_->begin(), recording_start_->end(), next);
+  }
+  return next;
 }
 
 }  // namespace revisit::server

@@ -4,6 +4,8 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <memory>
+#include <string>
 
 #include "server/fields/pose_fields.h"
 
@@ -30,6 +32,9 @@ class StoredPose {
   std::uint32_t position_size_ = 0;
   std::uint32_t quaternion_size_ = 0;
   std::uint32_t covariance_size_ = 0;
+  // The bytes of the recording's start; null if there is none. Few poses have
+  // one, so that it is copied and serialized.
+  std::unique_ptr<const std::string> recording_start_;
   std::size_t size_ = 0;
 };
 

@@ -18,6 +18,7 @@ constexpr MethodRule kRules[] = {
     {"ListDeletedPosePairs", Verb::kRead},
     {"ListLoopClosures", Verb::kRead},
     {"ListPoses", Verb::kRead},
+    {"ListRecordings", Verb::kRead},
     {"ListRejectedCandidates", Verb::kRead},
     {"ListVehicles", Verb::kRead},
     {"RejectCandidate", Verb::kWrite},

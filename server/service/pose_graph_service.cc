@@ -6,6 +6,7 @@
 #include "server/service/export_pose_graph.h"
 #include "server/service/find_candidates.h"
 #include "server/service/list_poses.h"
+#include "server/service/list_recordings.h"
 #include "server/service/list_vehicles.h"
 #include "server/service/pose_pair_calls.h"
 #include "server/service/revise_poses.h"
@@ -146,6 +147,13 @@ grpc::ServerUnaryReactor* PoseGraphService::ListPoses(
     grpc::ByteBuffer* response) {
   return Begin(service_, "ListPoses", server::ListPoses, call, request,
                response);
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::ListRecordings(
+    grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+    grpc::ByteBuffer* response) {
+  return Begin(service_, "ListRecordings", server::ListRecordings, call,
+               request, response);
 }
 
 grpc::ServerWriteReactor<grpc::ByteBuffer>* PoseGraphService::ExportPoseGraph(

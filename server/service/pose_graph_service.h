@@ -33,7 +33,8 @@ using WithPoses = Service::WithRawCallbackMethod_AppendPoses<
     Service::WithRawCallbackMethod_StreamPoses<
         Service::WithRawCallbackMethod_RevisePoses<
             Service::WithRawCallbackMethod_ListPoses<
-                Service::WithRawCallbackMethod_ExportPoseGraph<Base>>>>>;
+                Service::WithRawCallbackMethod_ListRecordings<
+                    Service::WithRawCallbackMethod_ExportPoseGraph<Base>>>>>>;
 template <typename Base>
 using WithLoopClosures = Service::WithRawCallbackMethod_AddLoopClosure<
     Service::WithRawCallbackMethod_ListLoopClosures<
@@ -106,6 +107,9 @@ class PoseGraphService final : public service_internal::AllMethods {
   grpc::ServerUnaryReactor* ListPoses(grpc::CallbackServerContext* call,
                                       const grpc::ByteBuffer* request,
                                       grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* ListRecordings(grpc::CallbackServerContext* call,
+                                           const grpc::ByteBuffer* request,
+                                           grpc::ByteBuffer* response) override;
   grpc::ServerWriteReactor<grpc::ByteBuffer>* ExportPoseGraph(
       grpc::CallbackServerContext* call,
       const grpc::ByteBuffer* request) override;

@@ -137,7 +137,8 @@ class Revision final : public ReadingCall<Revision> {
     if (absl::Status status = ChooseVehicle(*id); !status.ok()) {
       return status;
     }
-    expected_revision_ = request_.expected_revision();
+    terms_.expected_revision = request_.expected_revision();
+    terms_.has_common_frame = request_.common_frame();
     // The session is kept to the end, so that all messages are about the same
     // vehicle, even if it is deleted and made again.
     session_ = context_.fleet->Session(*id);
@@ -155,6 +156,10 @@ class Revision final : public ReadingCall<Revision> {
     }
     if (request_.expected_revision() != 0) {
       return InvalidField("INVALID_FIELD", request.Field("expected_revision"),
+                          "allowed in the first message only");
+    }
+    if (request_.common_frame()) {
+      return InvalidField("INVALID_FIELD", request.Field("common_frame"),
                           "allowed in the first message only");
     }
     return absl::OkStatus();
@@ -261,8 +266,8 @@ class Revision final : public ReadingCall<Revision> {
   // the change was made from a past one is known once all poses have come.
   absl::Status CheckNotAhead(const VehicleView& view) const {
     if (given_up()) return GivenUpStatus();
-    return expected_revision_ > view.revision
-               ? RevisionMismatch(view, expected_revision_)
+    return terms_.expected_revision > view.revision
+               ? RevisionMismatch(view, terms_.expected_revision)
                : absl::OkStatus();
   }
 
@@ -271,8 +276,8 @@ class Revision final : public ReadingCall<Revision> {
     // The draft is destroyed with the plan.
     const std::shared_ptr<RevisionDraft> draft = std::move(draft_);
     KeptCovariances kept(view.config.drive.state_space);
-    absl::StatusOr<RevisionPlan> plan = PlanRevision(
-        context_.storage, view, draft, expected_revision_, *this, &kept);
+    absl::StatusOr<RevisionPlan> plan =
+        PlanRevision(context_.storage, view, draft, terms_, *this, &kept);
     if (!plan.ok() || !plan->batches) return plan;
     const absl::Status taken = room().TakeRebuild(view.durable_sequence);
     if (!taken.ok()) return taken;
@@ -303,7 +308,8 @@ class Revision final : public ReadingCall<Revision> {
   v1::RevisePosesRequest request_;
   // Room for the message that is being drafted.
   Permit message_room_;
-  std::uint64_t expected_revision_ = 0;
+  // What the first message says of the whole call.
+  RevisionTerms terms_;
   // Number of the next pose in the whole call.
   std::size_t pose_number_ = 0;
   std::int64_t bytes_ = 0;

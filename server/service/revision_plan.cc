@@ -1,15 +1,22 @@
 #include "server/service/revision_plan.h"
 
+#include <algorithm>
 #include <cstddef>
+#include <cstdint>
 #include <functional>
+#include <limits>
 #include <optional>
 #include <string>
 #include <vector>
 
+#include "core/drive/dropped_stretch.h"
+#include "core/drive/recordings.h"
+#include "core/geometry/pose.h"
 #include "revisit/v1/geometry.pb.h"
 #include "server/base/status.h"
 #include "server/conversion/names.h"
 #include "server/conversion/poses.h"
+#include "server/fields/field_violations.h"
 #include "server/fields/pose_fields.h"
 #include "server/records/batch_records.h"
 #include "server/records/proto_record_codec.h"
@@ -20,6 +27,7 @@ namespace {
 // The batch as the poses of the draft change it; nullopt if they do not.
 absl::StatusOr<std::optional<BatchRecord>> Revise(const BatchRecord& batch,
                                                   const VehicleConfig& config,
+                                                  RevisedStarts starts,
                                                   RevisionDraft* draft) {
   std::vector<v1::Pose> poses(batch.count);
   std::vector<bool> named(batch.count, false);
@@ -35,7 +43,7 @@ absl::StatusOr<std::optional<BatchRecord>> Revise(const BatchRecord& batch,
                            "a pose of a revision cannot be read again");
       });
   if (!read.ok()) return read;
-  return ReviseBatch(batch, config, [&](std::uint64_t sequence) {
+  return ReviseBatch(batch, config, starts, [&](std::uint64_t sequence) {
     const std::size_t place = sequence - first;
     const bool found = place < named.size() && named[place];
     return found ? std::make_optional(PoseFieldsOf(poses[place]))
@@ -46,19 +54,26 @@ absl::StatusOr<std::optional<BatchRecord>> Revise(const BatchRecord& batch,
 // Takes the stored batches one by one.
 class Planner {
  public:
-  Planner(const VehicleView& view, RevisionDraft* draft, std::uint64_t expected,
-          KeptCovariances* kept)
+  Planner(const VehicleView& view, RevisionDraft* draft,
+          const RevisionTerms& terms, KeptCovariances* kept)
       : view_(view),
         draft_(draft),
-        expected_(expected),
+        expected_(terms.expected_revision),
+        starts_(terms.has_common_frame ? RevisedStarts::kFirst
+                                       : RevisedStarts::kStay),
         kept_(kept),
-        is_done_(is_mismatch()) {}
+        is_done_(is_mismatch()) {
+    const core::Recordings& recordings = view.drive.recordings();
+    if (terms.has_common_frame && recordings.size() > 1) {
+      moves_frame_from_ = recordings[1].first_sequence;
+    }
+  }
 
   absl::Status Take(const BatchRecord& batch) {
     if (view_.drive.dropped().Contains(batch.first_sequence)) {
       return CountDropped(batch);
     }
-    const auto revised = Revise(batch, view_.config, draft_);
+    const auto revised = Revise(batch, view_.config, starts_, draft_);
     if (!revised.ok()) return revised.status();
     if (!*revised) return absl::OkStatus();
     if (absl::Status shown = Show(batch, **revised); !shown.ok()) return shown;
@@ -80,10 +95,17 @@ class Planner {
  private:
   absl::Status Show(const BatchRecord& batch, const BatchRecord& revised) {
     const ProtoRecordCodec codec;
-    const auto before = codec.DecodePoses(batch.payload, view_.config);
+    auto before = codec.DecodePoses(batch.payload, view_.config);
     if (!before.ok()) return before.status();
-    const auto after = codec.DecodePoses(revised.payload, view_.config);
+    auto after = codec.DecodePoses(revised.payload, view_.config);
     if (!after.ok()) return after.status();
+    for (auto* samples : {&before->samples, &after->samples}) {
+      const auto moved = std::find_if(
+          samples->begin(), samples->end(), [&](const core::PoseSample& pose) {
+            return pose.sequence >= moves_frame_from_;
+          });
+      samples->erase(moved, samples->end());
+    }
     kept_->Look(before->samples, after->samples);
     return absl::OkStatus();
   }
@@ -100,10 +122,25 @@ class Planner {
   const VehicleView& view_;
   RevisionDraft* const draft_;
   const std::uint64_t expected_;
+  const RevisedStarts starts_;
   KeptCovariances* const kept_;
+  // The first of the poses that go into another frame.
+  std::uint64_t moves_frame_from_ = std::numeric_limits<std::uint64_t>::max();
   bool is_done_;
   std::int64_t dropped_count_ = 0;
 };
+
+// Whether the poses that are revised are all that the vehicle keeps.
+absl::Status CheckAllNamed(const VehicleView& view, std::int64_t revised) {
+  const std::uint64_t kept =
+      view.durable_sequence - view.drive.dropped().count();
+  if (static_cast<std::uint64_t>(revised) == kept) return absl::OkStatus();
+  return InvalidField(kInvalidField, FieldPath().Field("poses"),
+                      "got " + std::to_string(revised) + " of the " +
+                          std::to_string(kept) + " poses that " +
+                          VehicleName(view.id) +
+                          " keeps; with `common_frame`, all have to be named");
+}
 
 }  // namespace
 
@@ -118,9 +155,9 @@ absl::Status RevisionMismatch(const VehicleView& view, std::uint64_t expected) {
 
 absl::StatusOr<RevisionPlan> PlanRevision(
     Storage* storage, const VehicleView& view,
-    const std::shared_ptr<RevisionDraft>& draft, std::uint64_t expected,
+    const std::shared_ptr<RevisionDraft>& draft, const RevisionTerms& terms,
     const Call& call, KeptCovariances* kept) {
-  Planner planner(view, draft.get(), expected, kept);
+  Planner planner(view, draft.get(), terms, kept);
   absl::Status taken;
   const absl::Status read = storage->ReadBatches(
       view.key, draft->first_sequence(), draft->last_sequence(),
@@ -134,10 +171,17 @@ absl::StatusOr<RevisionPlan> PlanRevision(
   plan.dropped_count = planner.dropped_count();
   plan.revised_count = draft->pose_count() - plan.dropped_count;
   if (planner.is_done()) {
-    plan.done_by = expected + 1;
-  } else if (planner.is_mismatch()) {
-    return RevisionMismatch(view, expected);
-  } else if (draft->has_batches()) {
+    plan.done_by = terms.expected_revision + 1;
+    return plan;
+  }
+  if (planner.is_mismatch()) {
+    return RevisionMismatch(view, terms.expected_revision);
+  }
+  if (terms.has_common_frame) {
+    const absl::Status named = CheckAllNamed(view, plan.revised_count);
+    if (!named.ok()) return named;
+  }
+  if (draft->has_batches()) {
     plan.batches =
         [draft](const std::function<absl::Status(const BatchRecord&)>& take) {
           return draft->ReadBatches(take);

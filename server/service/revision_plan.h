@@ -20,14 +20,22 @@ namespace revisit::server {
 // ABORTED (REVISION_MISMATCH): the vehicle is not at the expected revision.
 absl::Status RevisionMismatch(const VehicleView& view, std::uint64_t expected);
 
+// What a revision asks for beside its poses.
+struct RevisionTerms {
+  // If not 0, the revision that the vehicle has to have, unless the result of
+  // the change is stored already: then the answer to an earlier call got lost.
+  std::uint64_t expected_revision = 0;
+  // The poses are all in one frame, and all that are kept have to be named:
+  // INVALID_ARGUMENT (INVALID_FIELD) if one is missing.
+  bool has_common_frame = false;
+};
+
 // Reads the batches that hold the poses of the draft, and replaces these poses.
-// If `expected` is not 0, it must be the revision of the vehicle, unless the
-// result of the change is stored already: then the answer to an earlier call
-// got lost. Ends early, with that status, once the call was given up. Shows the
-// poses before and after to `kept`.
+// Ends early, with that status, once the call was given up. Shows the poses
+// before and after to `kept`, but for those that go into another frame.
 absl::StatusOr<RevisionPlan> PlanRevision(
     Storage* storage, const VehicleView& view,
-    const std::shared_ptr<RevisionDraft>& draft, std::uint64_t expected,
+    const std::shared_ptr<RevisionDraft>& draft, const RevisionTerms& terms,
     const Call& call, KeptCovariances* kept);
 
 }  // namespace revisit::server

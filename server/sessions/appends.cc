@@ -5,7 +5,9 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "core/drive/recordings.h"
 #include "core/geometry/pose.h"
+#include "core/geometry/recording_start.h"
 #include "core/settings.h"
 #include "server/base/sequences.h"
 #include "server/sessions/search_turns.h"
@@ -149,9 +151,9 @@ absl::StatusOr<Appends::Taken> Appends::TakeOnKnown(const PendingPtr& append,
 }
 
 absl::StatusOr<Appends::Taken> Appends::TakeOnNew(const PendingPtr& append) {
-  if (absl::Status status = TakeOrigin(*append->decoded); !status.ok()) {
-    return status;
-  }
+  absl::Status status = CheckRecordings(*append->decoded);
+  if (status.ok()) status = TakeOrigin(*append->decoded);
+  if (!status.ok()) return status;
   Write(append);
   return Taken::kYes;
 }
@@ -192,6 +194,27 @@ absl::Status Appends::Decode(Pending* append) {
   append->decoded = *std::move(decoded);
   append->observer->OnDecoded(config, append->decoded->samples);
   return absl::OkStatus();
+}
+
+// Whether the vehicle may have the recordings that the batch begins, beside
+// those of the appends in flight.
+absl::Status Appends::CheckRecordings(const DecodedBatch& batch) const {
+  const std::size_t begun = batch.recordings_begun();
+  if (begun == 0) return absl::OkStatus();
+  std::size_t present = vehicle_->loaded->recordings().size();
+  for (const PendingPtr& other : unanswered_) {
+    if (other->revision > 0) present += other->decoded->recordings_begun();
+  }
+  if (present + begun <= core::kMostRecordings) return absl::OkStatus();
+  const std::string limit = StrCat(core::kMostRecordings);
+  return Error(
+      StatusCode::kFailedPrecondition, "RECORDING_LIMIT",
+      StrCat("vehicle '", vehicle_->id, "' has ", present,
+             " recordings, and the batch begins ", begun, " more; allowed are ",
+             limit,
+             ": go on in the frame of the last one, revise all poses into one "
+             "frame, or begin a new vehicle"),
+      {{"limit", limit}});
 }
 
 // The first batch of a geodetic vehicle may set its origin.

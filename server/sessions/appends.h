@@ -69,6 +69,7 @@ class Appends {
   void Conclude(const PendingPtr& append, const absl::Status& result);
   absl::Status SequenceGap(std::uint64_t first) const;
   absl::Status Decode(Pending* append);
+  absl::Status CheckRecordings(const DecodedBatch& batch) const;
   absl::Status TakeOrigin(const DecodedBatch& batch);
   absl::Status CompareWithStored(const DecodedBatch& batch, std::uint64_t first,
                                  std::uint64_t last) const;

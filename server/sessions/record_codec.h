@@ -3,6 +3,7 @@
 #ifndef REVISIT_SERVER_SESSIONS_RECORD_CODEC_H_
 #define REVISIT_SERVER_SESSIONS_RECORD_CODEC_H_
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <optional>
@@ -22,6 +23,15 @@ namespace revisit::server {
 struct DecodedPoses {
   std::vector<core::PoseSample> samples;
   std::optional<core::DroppedStretch> dropped;
+
+  // How many recordings a vehicle has more with these poses. Its first pose is
+  // in its first one, whether it says so or not.
+  std::size_t recordings_begun() const {
+    return static_cast<std::size_t>(std::count_if(
+        samples.begin(), samples.end(), [](const core::PoseSample& sample) {
+          return sample.recording_start != nullptr && sample.sequence > 1;
+        }));
+  }
 };
 
 // A batch in core's types, with the bytes that are stored for it.

@@ -8,6 +8,8 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/drive/measured_loop.h"
+#include "core/drive/recordings.h"
+#include "core/geometry/recording_start.h"
 #include "core/settings.h"
 #include "server/sessions/snapshots.h"
 #include "server/storage/storage.h"
@@ -394,6 +396,12 @@ absl::Status Replayer::ReplayBatch(const BatchRecord& batch) {
     // A snapshot may end within a row, which several batches share.
     poses->samples.erase(poses->samples.begin(),
                          poses->samples.begin() + known);
+    if (replay_->drive->recordings().size() + poses->recordings_begun() >
+        core::kMostRecordings) {
+      return vehicle_->Corrupt(StrCat("stored poses from sequence ",
+                                      replay_->next_sequence, " on begin more ",
+                                      "recordings than a vehicle may have"));
+    }
     const core::AppendResult applied =
         replay_->drive->Append(poses->samples, ++replay_->steps);
     replay_->jumps.insert(replay_->jumps.end(), applied.jumps.begin(),

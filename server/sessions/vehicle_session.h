@@ -91,6 +91,7 @@ class VehicleSession {
   // See AppendRequest and AppendObserver. Poses that are stored already with
   // the same content are acknowledged again. Errors: ALREADY_EXISTS
   // (SEQUENCE_CONTENT_MISMATCH), FAILED_PRECONDITION (SEQUENCE_GAP),
+  // (RECORDING_LIMIT) if the vehicle would have too many recordings,
   // (VEHICLE_REPLACED) if another vehicle is meant, DATA_LOSS,
   // RESOURCE_EXHAUSTED (QUEUE_FULL), those of AppendObserver::StillWanted(), of
   // the decoder and of the storage. If a batch cannot be written, those in

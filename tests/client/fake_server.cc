@@ -443,6 +443,34 @@ grpc::Status FakeServer::ListPoses(grpc::ServerContext*,
   return NextUnaryStatus();
 }
 
+void FakeServer::set_recordings(std::vector<v1::Recording> recordings) {
+  std::lock_guard<std::mutex> lock(mutex_);
+  recordings_ = std::move(recordings);
+}
+
+grpc::Status FakeServer::ListRecordings(
+    grpc::ServerContext*, const v1::ListRecordingsRequest* request,
+    v1::ListRecordingsResponse* response) {
+  constexpr int kPage = 2;
+  {
+    const std::string said = Said();
+    std::lock_guard<std::mutex> lock(mutex_);
+    std::size_t next =
+        request->page_token().empty() ? 0 : std::stoul(request->page_token());
+    while (next < recordings_.size() && response->recordings_size() < kPage) {
+      v1::Recording* const recording = response->add_recordings();
+      *recording = recordings_[next++];
+      recording->set_name(recording->name() + said);
+      recording->set_label(recording->label() + said);
+    }
+    if (next < recordings_.size()) {
+      response->set_next_page_token(std::to_string(next));
+    }
+  }
+  EndPage(request->page_token(), response->mutable_recordings(), response);
+  return NextUnaryStatus();
+}
+
 grpc::Status FakeServer::GetServerInfo(grpc::ServerContext*,
                                        const v1::GetServerInfoRequest*,
                                        v1::GetServerInfoResponse* response) {

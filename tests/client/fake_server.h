@@ -101,6 +101,9 @@ class FakeServer final : public v1::PoseGraphService::Service {
   // The answer of searches and checks, but for the query.
   void set_candidates(const v1::CandidateSet& candidates);
 
+  // What ListRecordings() lists, two on a page.
+  void set_recordings(std::vector<v1::Recording> recordings);
+
   // The stored poses, serialized.
   std::vector<std::string> Stored() const;
   std::uint64_t durable_sequence() const;
@@ -164,6 +167,9 @@ class FakeServer final : public v1::PoseGraphService::Service {
   // Pages of what is stored.
   grpc::Status ListPoses(grpc::ServerContext*, const v1::ListPosesRequest*,
                          v1::ListPosesResponse*) override;
+  grpc::Status ListRecordings(grpc::ServerContext*,
+                              const v1::ListRecordingsRequest*,
+                              v1::ListRecordingsResponse*) override;
   grpc::Status GetServerInfo(grpc::ServerContext*,
                              const v1::GetServerInfoRequest*,
                              v1::GetServerInfoResponse*) override;
@@ -207,6 +213,7 @@ class FakeServer final : public v1::PoseGraphService::Service {
   std::uint64_t check_interval_ = 0;
   int max_batch_poses_ = 1000;
   v1::CandidateSet candidates_;
+  std::vector<v1::Recording> recordings_;
   std::vector<std::string> stored_;
   std::vector<std::uint64_t> opens_;
   std::vector<std::string> open_uids_;

@@ -220,11 +220,11 @@ Judged DriveAndCheck(AlignmentKind alignment, std::mt19937_64& random) {
     check.matched = best.matched;
     check.error_meters =
         Distance(truth(query), truth(best.matched), StateSpace::kPlanar);
-    check.accepted = best.difference.gate.verdict == GateVerdict::kAccepted;
-    const Eigen::Vector2d d(best.difference.difference.x,
-                            best.difference.difference.y);
+    check.accepted = best.difference->gate.verdict == GateVerdict::kAccepted;
+    const Eigen::Vector2d d(best.difference->difference.x,
+                            best.difference->difference.y);
     Eigen::Matrix2d gamma =
-        ToMatrix<3>(best.difference.covariance).topLeftCorner<2, 2>();
+        ToMatrix<3>(best.difference->covariance).topLeftCorner<2, 2>();
     gamma += 0.25 * Eigen::Matrix2d::Identity();
     check.squared_in_plane = d.dot(gamma.inverse() * d);
     const Eigen::SelfAdjointEigenSolver<Eigen::Matrix2d> axes(gamma);

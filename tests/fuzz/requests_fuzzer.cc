@@ -127,8 +127,10 @@ void CheckRevision(const v1::RevisePosesRequest& request,
   if (!checked.ok() || poses.empty()) return;
   server::BatchRecord record;
   record.payload = stored.SerializeAsString();
+  const auto starts = request.common_frame() ? server::RevisedStarts::kFirst
+                                             : server::RevisedStarts::kStay;
   const auto revised =
-      server::ReviseBatch(record, config, [&](std::uint64_t sequence) {
+      server::ReviseBatch(record, config, starts, [&](std::uint64_t sequence) {
         std::optional<server::PoseFields> found;
         for (const v1::Pose* pose : poses) {
           if (pose->sequence() == sequence) found = server::PoseFieldsOf(*pose);

@@ -42,6 +42,7 @@ def request_about(method, vehicle):
         "ListLoopClosures": lambda: api.ListLoopClosuresRequest(
             parent=vehicle),
         "ListPoses": lambda: api.ListPosesRequest(parent=vehicle),
+        "ListRecordings": lambda: api.ListRecordingsRequest(parent=vehicle),
         "ListRejectedCandidates": lambda: api.ListRejectedCandidatesRequest(
             parent=vehicle),
         "ListVehicles": lambda: api.ListVehiclesRequest(),
@@ -121,6 +122,7 @@ def test_verbs_are_checked_whether_the_vehicle_is_there_or_not(
         called_by, method):
     reads = {"ExportPoseGraph", "FindCandidates", "GetVehicle",
              "ListDeletedPosePairs", "ListLoopClosures", "ListPoses",
+             "ListRecordings",
              "ListRejectedCandidates"}
     admin = {"AcceptDataLoss", "DeleteVehicle"}
     needed = ("read" if method in reads else

@@ -73,6 +73,8 @@ CALLS = {
         api.RevisePosesRequest(vehicle=name, poses=straight(1))]))),
     "ListPoses": ("parent", lambda stub, name: stub.ListPoses(
         api.ListPosesRequest(parent=name))),
+    "ListRecordings": ("parent", lambda stub, name: stub.ListRecordings(
+        api.ListRecordingsRequest(parent=name))),
     "ExportPoseGraph": ("vehicle", lambda stub, name: list(
         stub.ExportPoseGraph(api.ExportPoseGraphRequest(vehicle=name)))),
     "AcceptDataLoss": ("name", lambda stub, name: stub.AcceptDataLoss(
@@ -341,6 +343,8 @@ PAGED = {
         api.ListVehiclesRequest(**fields)),
     "ListPoses": lambda stub, vehicle, **fields: stub.ListPoses(
         api.ListPosesRequest(parent=vehicle, **fields)),
+    "ListRecordings": lambda stub, vehicle, **fields: stub.ListRecordings(
+        api.ListRecordingsRequest(parent=vehicle, **fields)),
     "ListLoopClosures": LOOP_CLOSURES.page,
     "ListRejectedCandidates": REJECTED_CANDIDATES.page,
     "ListDeletedPosePairs": deletions_page,

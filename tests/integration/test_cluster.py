@@ -241,6 +241,7 @@ REQUESTS = {
     "DeleteRejectedCandidate": '{"name": "vehicles/ID/rejectedCandidates/one"}',
     "ListDeletedPosePairs": '{"parent": "vehicles/ID"}',
     "ListPoses": '{"parent": "vehicles/ID"}',
+    "ListRecordings": '{"parent": "vehicles/ID"}',
     "ExportPoseGraph": '{"vehicle": "vehicles/ID"}',
     "AcceptDataLoss": '{"name": "vehicles/ID", "durable_sequence": 4}',
     "DeleteVehicle": '{"name": "vehicles/ID"}',

@@ -533,3 +533,62 @@ def test_drive_whose_connection_breaks_is_streamed_again(verify, tmp_path):
             assert result.returncode == 64 + 14, result
             assert "the connection broke while square was streamed (" \
                 in result.stderr
+
+
+@pytest.fixture(name="days", scope="module")
+def fixture_days(tmp_path_factory):
+    """The two days of the shipped drive, whose truths are in one frame."""
+    folder = tmp_path_factory.mktemp("days")
+    lines = BOREAS.read_text().splitlines()
+    times = [float(line.split(",")[1]) for line in lines[1:]]
+    night = next(i for i in range(1, len(times)) if times[i] - times[i - 1] > 3600)
+    paths = []
+    for name, part in (("one", lines[1:night + 1]), ("two", lines[night + 1:])):
+        paths.append(folder / f"{name}.csv")
+        paths[-1].write_text("\n".join([lines[0], *part]) + "\n")
+    return paths
+
+
+def test_each_recording_asks_once_for_places_in_the_others(days):
+    report = report_of(*days, "--one-vehicle", "--recordings", "datum:50m,1deg",
+                       "--seeds", "2", "--check-interval", "200", "--verbose")
+    assert [(drive["drive"], drive["seed"]) for drive in report["drives"]] == [
+        ("one", 1), ("one", 2), ("two", 1), ("two", 2)]
+    total = report["total"]
+    assert total["precision"] > 0.95 and total["recall"] > 0.9
+    # Both days went the same way.
+    assert total["new_road_checks"] == total["new_road_accepted"] == 0
+    for drive in report["drives"]:
+        first = min(check["node"] for check in drive["check_list"])
+        for check in drive["check_list"]:
+            assert check["travelled_meters"] > 7000.0
+            assert all(one["matched_node"] < first for one in check["candidates"])
+
+
+def test_checks_of_recordings_count_behind_the_first_link(days):
+    report = report_of(*days, "--one-vehicle", "--recordings", "datum:200m,5deg",
+                       "--seeds", "1", "--check-interval", "200", "--verify")
+    for drive in report["drives"]:
+        assert drive["confirmed"] == 1 and drive["rejected"] == 0
+        assert 100.0 <= drive["linked_after_meters"] < 2000.0
+    assert report["total"]["recall"] > 0.95
+    # Without datums there is nothing to draw.
+    unknown = report_of(*days, "--one-vehicle", "--recordings", "unknown",
+                        "--check-interval", "200", "--sequence-length", "300")
+    assert [drive["seed"] for drive in unknown["drives"]] == [None, None]
+    assert unknown["total"]["precision"] > 0.95
+
+
+@pytest.mark.parametrize("arguments, words", [
+    (["--recordings", "unknown"], "--one-vehicle"),
+    (["--one-vehicle", "--recordings", "same"], "after, datum, unknown"),
+    (["--one-vehicle", "--recordings", "after", "--seeds", "2"], "--seeds"),
+    (["--one-vehicle", "--seeds", "2"], "--seeds"),
+    (["--one-vehicle", "--recordings", "after", "--map", "a.svg"], "--map"),
+    (["--one-vehicle", "--recordings", "after", "--simulate", "1"], "--simulate"),
+    (["--one-vehicle", "--recordings", "datum:10,1"], "datum:10m,1deg"),
+])
+def test_recordings_go_with_what_has_a_meaning_for_them(days, arguments, words):
+    refused = evaluate(*days, *arguments)
+    assert refused.returncode == USAGE
+    assert words in refused.stderr

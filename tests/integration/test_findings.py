@@ -166,7 +166,7 @@ def test_a_recording_in_another_frame_is_told_with_its_first_pose(stub, new_vehi
     assert codes_of(found) == ["NEW_FRAME"]
     assert found.findings[0].message == warnings[0].message
     assert f"sequence {len(poses) + 1} looks like the start" in warnings[0].message
-    assert "send each recording as a vehicle of its own" in warnings[0].message
+    assert "with recording_start (revisit: --recording)" in warnings[0].message
     # A third one is told as well, and then stands for all.
     more = appended(stub, vehicle, behind(poses, 2 * poses))
     assert [w.metadata["sequence"] for w in new_frames(more)] == [
@@ -208,7 +208,7 @@ def test_one_recording_is_no_new_frame(stub, new_vehicle):
     assert not new_frames(appended(stub, new_vehicle(), poses))
 
 
-def test_the_command_line_names_the_flags_for_another_recording(server, tmp_path):
+def test_the_command_line_begins_another_recording_where_one_begins(server, tmp_path):
     """Two files that both begin at the origin, as those of an odometry do."""
     file = tmp_path / "drive.csv"
     file.write_text("t,x,y,yaw\n" + "".join(
@@ -221,15 +221,18 @@ def test_the_command_line_names_the_flags_for_another_recording(server, tmp_path
         assert done.returncode == 0, done.stderr
         return done.stderr
 
-    assert "new recording" not in stream("silent")
-    said = stream("silent")
+    same = ("--recording", "same")
+    assert "new recording" not in stream("silent", *same)
+    said = stream("silent", *same)
     assert "sequence 401 looks like the start of a new recording" in said
-    assert "--start-sigma-position M --start-sigma-heading RAD" in said
+    assert "--recording" in said
     assert "NEW_FRAME" not in stream("stated")
     assert "new recording" not in stream(
         "stated", "--start-sigma-position", "10", "--start-sigma-heading", "0.2")
     assert codes_of(get(server.stub(), "vehicles/stated")) == []
-    # Several files are several recordings, too.
+    # By itself, for a file that does not go on where the last one ended.
     both = run("revisit", "stream", file, file, "--vehicle", "both", "--create",
                "--server", server.address)
-    assert "looks like the start of a new recording" in both.stderr
+    assert "so another recording begins" in both.stderr
+    assert "looks like the start of a new recording" not in both.stderr
+    assert codes_of(get(server.stub(), "vehicles/both")) == []

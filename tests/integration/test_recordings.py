@@ -506,3 +506,137 @@ def test_stream_without_a_vehicle_is_wrong_usage(stream):
     refused = stream(BOREAS)
     assert refused.returncode == USAGE
     assert "--vehicle is required" in refused.stderr
+
+
+def lap(day):
+    """A lap of 600 poses, some 2 m apart, around a lake with bays, from the origin:
+    t, x, y, yaw."""
+    def at(i):
+        angle = math.tau * i / 600.0
+        radius = 190.0 * (1.0 + 0.12 * math.sin(2.0 * angle + 0.7)
+                          + 0.06 * math.sin(5.0 * angle))
+        return radius * math.cos(angle), radius * math.sin(angle)
+
+    poses = []
+    for i in range(600):
+        (x, y), (before, after) = at(i), (at(i - 0.5), at(i + 0.5))
+        poses.append((86400.0 * day + i, x - at(0)[0], y - at(0)[1],
+                      math.atan2(after[1] - before[1], after[0] - before[0])))
+    return poses
+
+
+def recordings_of(stub, name):
+    return list(stub.ListRecordings(api.ListRecordingsRequest(
+        parent=f"vehicles/{name}")).recordings)
+
+
+@pytest.mark.parametrize("words, state", [
+    ([], api.FRAME_STATE_AFTER),
+    (["--recording", "after:3m,5deg"], api.FRAME_STATE_AFTER),
+    (["--recording", "datum:3m,5deg,depot"], api.FRAME_STATE_DATUM),
+    (["--recording", "unknown"], api.FRAME_STATE_NONE),
+], ids=["by itself", "after", "datum", "unknown"])
+def test_second_day_finds_the_first_one_in_a_frame_of_its_own(
+        stub, stream, tmp_path, words, state):
+    name = f"days-{api.FrameState.Name(state)[12:].lower()}-{len(words)}"
+    days = [write(tmp_path / f"day{day}.csv", lap(day), PLAIN, ",")
+            for day in range(2)]
+    done = stream(*days, "--vehicle", name, "--create", "--candidates", *words,
+                  "--json")
+    found = candidates(done)
+    assert json.loads(done.stdout.splitlines()[-1])["recordings"] == (
+        2 if state == api.FRAME_STATE_DATUM else 1)
+    listed = recordings_of(stub, name)
+    assert [(one.label, one.first_sequence) for one in listed] == [
+        ("day0" if state == api.FRAME_STATE_DATUM else "", 1), ("day1", 601)]
+    assert listed[0].frame_state == state
+    accepted = [(query, best[0][0]) for query, best in found
+                if query > 600 and best and best[0][1] == "VERDICT_ACCEPTED"]
+    assert len(accepted) > 8
+    # The same lap: 600 poses later, within 10 m.
+    assert all(abs(query - 600 - matched) <= 5 for query, matched in accepted)
+    # Once more: compared, also the starts, and nothing to add.
+    again = stream(*days, "--vehicle", name, *words, "--json")
+    assert json.loads(again.stdout)["alreadyDurable"] == 1200
+
+
+def test_recordings_are_listed_exported_and_drawn(server, stub, stream, tmp_path):
+    days = [write(tmp_path / f"day{day}.txt", tum(lap(day)))
+            for day in range(3)]
+    done = stream(*days[:2], "--vehicle", "listed", "--create")
+    assert done.returncode == 0, done.stderr
+    done = stream(days[2], "--vehicle", "listed", "--append", "--recording", "unknown")
+    assert done.returncode == 0, done.stderr
+
+    def revisit(*arguments):
+        result = run("revisit", *arguments, "--server", server.address)
+        assert result.returncode == 0, result.stderr
+        return result.stdout
+
+    lines = revisit("recordings", "list", "listed").splitlines()
+    assert lines[0].split()[:5] == ["FIRST", "LAST", "LABEL", "START", "FRAME"]
+    assert [line.split()[:4] for line in lines[1:]] == [
+        ["1", "600", "-", "-"], ["601", "1200", "day1", "after,"],
+        ["1201", "1800", "day2", "unknown"]]
+    assert "after, within 10 m and 17.2 degrees" in lines[2]
+    listed = json.loads(revisit("recordings", "list", "listed", "--json"))
+    assert [one["frameState"] for one in listed["recordings"]] == [
+        "FRAME_STATE_NONE", "FRAME_STATE_NONE", "FRAME_STATE_SAME"]
+    assert revisit("recordings", "list", "listed", "-o", "name").split() == [
+        f"vehicles/listed/recordings/{first}" for first in (1, 601, 1201)]
+
+    # There and back by the format of TUM, whose comments mark the starts.
+    back = tmp_path / "back.txt"
+    revisit("export", "listed", "--format", "tum", "--output", back)
+    assert back.read_text().count("# recording ") == 2
+    done = stream(back, "--vehicle", "by-tum", "--create")
+    assert done.returncode == 0, done.stderr
+    assert [(one.label, one.first_sequence, one.start)
+            for one in recordings_of(stub, "by-tum")] == [
+        (one.label, one.first_sequence, one.start)
+        for one in recordings_of(stub, "listed")]
+
+    g2o = revisit("export", "listed", "--format", "g2o")
+    assert "EDGE_SE2 600 601 0 0 0 " in g2o
+    assert "EDGE_SE2 1200 1201 " not in g2o
+    for kind in ("--svg", "--html"):
+        drawn = revisit("map", "listed", kind, "--check-interval", "400")
+        assert "day1: tied by nothing, drawn beside the others" in drawn
+        assert "day2: the last one" in drawn
+
+
+def test_geodetic_vehicle_takes_no_recording_flag(stub, stream):
+    pos = ROOT / "tests/data/formats/nagoya_spp.pos"
+    refused = stream(pos, "--vehicle", "fixes", "--create", "--recording", "unknown",
+                     "--append")
+    assert refused.returncode == LOCAL_FAULT
+    assert "--recording goes with local ones" in refused.stderr
+    wrong = stream(pos, "--vehicle", "fixes", "--recording", "datum:10,1")
+    assert wrong.returncode == USAGE
+    assert "datum:10m,1deg" in wrong.stderr
+
+
+def test_what_an_optimiser_joins_is_one_recording_whose_claims_grow(
+        server, stub, stream, tmp_path):
+    days = [write(tmp_path / f"day{day}.csv", lap(day), PLAIN, ",")
+            for day in range(2)]
+    done = stream(*days, "--vehicle", "joined", "--create")
+    assert done.returncode == 0, done.stderr
+    graph = tmp_path / "joined.g2o"
+    for arguments in (["export", "joined", "--format", "g2o", "--output", graph],
+                      ["revise", "joined", graph, "--format", "g2o",
+                       "--common-frame"]):
+        done = run("revisit", *arguments, "--server", server.address)
+        assert done.returncode == 0, done.stderr
+    assert [one.last_sequence for one in recordings_of(stub, "joined")] == [1200]
+    assert not vehicle(stub, "joined").findings
+    poses = stub.ListPoses(api.ListPosesRequest(
+        parent="vehicles/joined", page_size=1200)).poses
+    variances = [pose.covariance.values[0] + pose.covariance.values[3]
+                 for pose in poses]
+    # A lap back to the start has lost some of what its heading swung.
+    assert variances[600] > 0.9 * variances[599] > 10 * variances[0]
+    partial = run("revisit", "revise", "joined", graph, "--format", "g2o",
+                  "--common-frame", "--partial", "--server", server.address)
+    assert partial.returncode == USAGE
+    assert "--partial" in partial.stderr

@@ -9,6 +9,7 @@
 #include <map>
 #include <optional>
 #include <set>
+#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -114,6 +115,9 @@ class PlainRetention {
 
   bool MustStay(NodeIndex i) const {
     if (i >= graph_.size() - needs_.newest_nodes) return true;
+    for (const NodeIndex start : needs_.recording_starts) {
+      if (i == 0 || i == start - 1 || i == start) return true;
+    }
     return std::any_of(
         needs_.loop_ends.begin(), needs_.loop_ends.end(), [&](NodeIndex end) {
           return graph_.SegmentStart(i) == graph_.SegmentStart(end) &&
@@ -138,7 +142,7 @@ class PlainRetention {
     }
     std::sort(ranked.begin(), ranked.end());
     std::set<NodeIndex> kept;
-    std::map<std::pair<double, double>, int> in_cell;
+    std::map<std::tuple<std::int64_t, double, double>, int> in_cell;
     for (const auto& entry : ranked) {
       const NodeIndex i = -entry.second;
       if (!MustStay(i) && Passes(i, kept) >= options_.max_passes) {
@@ -146,8 +150,8 @@ class PlainRetention {
         continue;
       }
       const Pose pose = graph_.pose(i);
-      int& held =
-          in_cell[{std::floor(pose.x / Reach()), std::floor(pose.y / Reach())}];
+      int& held = in_cell[{RecordingOf(i), std::floor(pose.x / Reach()),
+                           std::floor(pose.y / Reach())}];
       if (i % Stride() == 0 && !IsFarOff(i) &&
           held < 16 * options_.max_passes) {
         ++held;
@@ -167,12 +171,19 @@ class PlainRetention {
            s(0, 0) + s(1, 1) + z > Reach() * Reach();
   }
 
+  std::int64_t RecordingOf(NodeIndex i) const {
+    return std::count_if(needs_.recording_starts.begin(),
+                         needs_.recording_starts.end(),
+                         [i](NodeIndex start) { return start <= i; });
+  }
+
   int Passes(NodeIndex i, const std::set<NodeIndex>& kept) const {
     const double separation = std::max(needs_.separation_meters, 4.0 * Reach());
     int passes = 0;
     double last = -1e300;
     for (const NodeIndex j : kept) {
       const double at = graph_.node(j).travelled_meters;
+      if (RecordingOf(j) != RecordingOf(i)) continue;
       if (at - last < separation || graph_.MetersApart(i, j) < separation ||
           !AreOnePlace(i, j)) {
         continue;

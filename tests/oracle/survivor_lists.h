@@ -22,6 +22,7 @@
 #include "core/search/alignment/known_drift.h"
 #include "core/search/alignment/relative.h"
 #include "tests/oracle/dense_window.h"
+#include "tests/oracle/frames.h"
 #include "tests/oracle/wide_state.h"
 
 namespace revisit::oracle {
@@ -57,26 +58,34 @@ struct ListedMatch {
 
 class SurvivorLists {
  public:
-  SurvivorLists(const core::PoseGraph& graph, const core::RelativeModel& model,
-                core::NodeIndex query, std::int64_t steps, core::NodeIndex size)
-      : graph_(graph),
+  SurvivorLists(const core::Query& query, const core::History& history,
+                const core::RelativeModel& model)
+      : graph_(query.graph),
         model_(model),
-        query_(query),
-        size_(size),
+        query_(query.node),
+        first_(history.first),
+        size_(history.end),
+        relation_(history.relation),
         d_(model.similarity.state_space == core::StateSpace::kPlanar ? 3 : 4),
-        window_(graph, query, steps, WindowModel(graph, model, query, d_)) {
+        window_(graph_, query_, query.steps,
+                WindowModel(graph_, model, query_, d_)),
+        frames_(graph_,
+                model.similarity.correlation.model ==
+                    core::CorrelationModel::kDeadReckoning,
+                d_) {
     for (int way = 0; way < 2; ++way) {
       if (!(way == 0 ? model.same_direction : model.opposite_direction)) {
         continue;
       }
-      for (core::NodeIndex j = 0; j < size; ++j) {
+      for (core::NodeIndex j = first_; j < size_; ++j) {
         matches_[static_cast<std::size_t>(way)].push_back(
-            Match(j, way, WalkBack(j, way, steps)));
+            Match(j, way, WalkBack(j, way, query.steps)));
       }
     }
   }
 
-  // By direction: 0 the same, 1 opposite. Empty if not sought.
+  // By direction: 0 the same, 1 opposite; each from the first node of the
+  // history on. Empty if not sought.
   const std::array<std::vector<ListedMatch>, 2>& matches() const {
     return matches_;
   }
@@ -136,7 +145,7 @@ class SurvivorLists {
   }
 
   bool Road(core::NodeIndex a, core::NodeIndex b) const {
-    return a >= 0 && b >= 0 && a < size_ && b < size_ &&
+    return a >= first_ && b >= first_ && a < size_ && b < size_ &&
            graph_.SegmentStart(a) == graph_.SegmentStart(b);
   }
 
@@ -194,7 +203,7 @@ class SurvivorLists {
     for (const auto& [a, b] : graph_.LoopEdges()) {
       if (a != from.node && b != from.node) continue;
       const core::NodeIndex far = a == from.node ? b : a;
-      if (far >= size_) continue;
+      if (far < first_ || far >= size_) continue;
       const Wide turn =
           NearestTo(0.0L, static_cast<Wide>(graph_.node(far).pose.heading) -
                               graph_.node(from.node).pose.heading);
@@ -350,11 +359,42 @@ class SurvivorLists {
     return {d, covariance};
   }
 
+  // The same of a node in another frame; a drift that is shown is known by its
+  // closure alone.
+  std::pair<WideVector, WideMatrix> AnchorAcross(
+      core::NodeIndex j, int way, double scale, Wide fixed_scale,
+      const std::optional<core::ConfirmedLoop>& shown) const {
+    const core::SimilarityModel& similarity = model_.similarity;
+    const Wide deviations = static_cast<Wide>(similarity.inflation) * scale;
+    std::optional<WideTie> tie;
+    if (relation_.tie().is_tied()) {
+      tie = frames_.TieOf(relation_.tie(), deviations, fixed_scale);
+    }
+    if (shown) {
+      const core::FrameState state = relation_.tie().state;
+      tie = frames_.KnownBy(
+          tie,
+          state == core::FrameState::kKnown ||
+              state == core::FrameState::kProvisional,
+          shown->query, shown->matched, deviations,
+          WideDiagonal(core::kConfirmedTolerance.position_meters,
+                       core::kConfirmedTolerance.heading_radians, d_));
+    }
+    WideVector d = frames_.Difference(*tie, query_, j);
+    if (way == 1) d(d_ - 1) = NearestTo(0.0L, d(d_ - 1) + kWidePi);
+    return {d, frames_.Gamma(*tie, query_, j, deviations) +
+                   WideDiagonal(similarity.tolerance.position_meters,
+                                similarity.tolerance.heading_radians, d_)};
+  }
+
   // An anchor that a node may have, and its weight.
   struct WeighedAnchor {
     double scale = 1.0;
     Wide log_weight = 0.0L;
     std::optional<core::ConfirmedLoop> loop;
+    // In another frame.
+    Wide fixed_scale = 1.0L;
+    bool is_unknown = false;
   };
 
   // All scales, with each of the drifts that reach into the node's block of 128
@@ -365,7 +405,9 @@ class SurvivorLists {
     if (scales.empty()) scales.emplace_back();
     for (const core::WeighedScale& scale : scales) {
       Wide left = 1.0L;
-      for (const core::WeighedDrift& drift : model_.drifts) {
+      const std::vector<core::WeighedDrift>& drifts =
+          relation_.is_own() ? model_.drifts : relation_.drifts();
+      for (const core::WeighedDrift& drift : drifts) {
         bool reaches = false;
         for (core::NodeIndex i = j / 128 * 128; i < j / 128 * 128 + 128; ++i) {
           reaches |= drift.reach.first <= i && i < drift.reach.last;
@@ -377,8 +419,16 @@ class SurvivorLists {
              static_cast<Wide>(scale.log_weight) + drift.log_weight,
              drift.loop});
       }
-      anchors.push_back({scale.scale, scale.log_weight + std::log(left),
-                         model_.last_confirmed});
+      if (relation_.is_own()) {
+        anchors.push_back({scale.scale, scale.log_weight + std::log(left),
+                           model_.last_confirmed});
+        continue;
+      }
+      for (const core::FrameWay& lies : relation_.ways()) {
+        anchors.push_back({scale.scale,
+                           scale.log_weight + std::log(left) + lies.log_weight,
+                           std::nullopt, lies.fixed_scale, lies.is_unknown});
+      }
     }
     return anchors;
   }
@@ -387,7 +437,10 @@ class SurvivorLists {
   std::optional<WideQuadraticForm> Smoothed(core::NodeIndex j, int way,
                                             const ListedPath& path,
                                             const WeighedAnchor& anchor) const {
-    const auto [d, covariance] = Anchor(j, way, anchor.scale, anchor.loop);
+    const auto [d, covariance] =
+        relation_.is_own() ? Anchor(j, way, anchor.scale, anchor.loop)
+                           : AnchorAcross(j, way, anchor.scale,
+                                          anchor.fixed_scale, anchor.loop);
     const std::optional<WideQuadraticForm> claimed =
         EvaluateWide(covariance, d);
     if (!claimed) return std::nullopt;
@@ -411,6 +464,16 @@ class SurvivorLists {
     std::vector<Wide> parts;
     Wide greatest = -std::numeric_limits<Wide>::infinity();
     for (const WeighedAnchor& anchor : AnchorsOf(j)) {
+      if (anchor.is_unknown) {
+        match.possible = true;
+        parts.push_back(anchor.log_weight + Anywhere());
+        if (parts.back() > greatest) {
+          greatest = parts.back();
+          match.squared_end_difference = 0.0L;
+          match.scale = anchor.scale;
+        }
+        continue;
+      }
       const auto form = Smoothed(j, way, path, anchor);
       if (!form) continue;
       match.possible = true;
@@ -425,26 +488,42 @@ class SurvivorLists {
     if (!match.possible) return match;
     Wide times_greatest = 0.0L;
     for (const Wide part : parts) times_greatest += std::exp(part - greatest);
-    // Nodes on roads not driven, per square metre (SPATIAL: cubic) and radian.
-    const Wide roads = 2.0L / model_.road_spacing_meters;
-    Wide density = roads / model_.spacing_meters * 2.0L / (2.0L * kWidePi);
-    if (d_ == 4) density /= core::kRoadHeightRange;
     match.log_likelihood_ratio = path.log_likelihood_ratio;
     match.squared_innovations = path.squared_innovations;
     match.score = greatest + std::log(times_greatest) -
                   0.5L * d_ * std::log(2.0L * kWidePi) +
                   window_.weight() * match.log_likelihood_ratio -
-                  window_.join_cost() - std::log(density);
+                  window_.join_cost() - std::log(NewPlaceDensity());
     match.entries = path.entries;
     return match;
+  }
+
+  // Nodes on roads not driven, per square metre (SPATIAL: cubic) and radian.
+  Wide NewPlaceDensity() const {
+    const Wide roads = 2.0L / model_.road_spacing_meters;
+    const Wide density =
+        roads / model_.spacing_meters * 2.0L / (2.0L * kWidePi);
+    return d_ == 4 ? density / core::kRoadHeightRange : density;
+  }
+
+  // One of all nodes of 10 km by 10 km, in the place of a density of the
+  // difference.
+  Wide Anywhere() const {
+    const Wide roads = 2.0L / model_.road_spacing_meters;
+    const Wide nodes = 1e8L * roads / model_.spacing_meters * 2.0L;
+    return -std::log(nodes) + 0.5L * d_ * std::log(2.0L * kWidePi) +
+           std::log(NewPlaceDensity());
   }
 
   const core::PoseGraph& graph_;
   const core::RelativeModel& model_;
   const core::NodeIndex query_;
+  const core::NodeIndex first_;
   const core::NodeIndex size_;
+  const core::Relation relation_;
   const int d_;
   const DenseWindow window_;
+  const WideFrames frames_;
   std::array<std::vector<ListedMatch>, 2> matches_;
   int met_ = 0;
   int beyond_most_ = 0;

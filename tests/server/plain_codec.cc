@@ -3,16 +3,19 @@
 #include <cmath>
 #include <cstdlib>
 #include <functional>
+#include <memory>
 #include <sstream>
 
 #include "core/drive/confirmed_loop.h"
 #include "core/drive/dropped_stretch.h"
 #include "core/geometry/pose.h"
+#include "core/geometry/recording_start.h"
 
 namespace revisit::server {
 namespace {
 
 constexpr std::int64_t kSecond = 1'000'000'000;
+constexpr char kRecording[] = "recording ";
 
 absl::Status Damaged() { return absl::DataLossError("not a plain record"); }
 
@@ -111,8 +114,15 @@ absl::StatusOr<DecodedBatch> PlainCodec::DecodeBatch(
     return batch;
   }
   for (const std::string& line : Lines(payload)) {
-    std::istringstream stream(line);
     core::PoseSample sample;
+    const bool begins = line.rfind(kRecording, 0) == 0;
+    if (begins) {
+      core::RecordingStart start;
+      start.relation = core::RecordingRelation::kUnknown;
+      sample.recording_start = std::make_shared<core::RecordingStart>(start);
+    }
+    std::istringstream stream(
+        line.substr(begins ? std::string(kRecording).size() : 0));
     if (!(stream >> sample.sequence) || !ReadDouble(stream, &sample.pose.x) ||
         !ReadDouble(stream, &sample.pose.y) ||
         !ReadDouble(stream, &sample.pose.heading)) {
@@ -227,6 +237,10 @@ std::string StraightBatch(std::uint64_t first_sequence, std::uint64_t count) {
     batch += Line(i, static_cast<double>(i), 0.0, 0.0);
   }
   return batch;
+}
+
+std::string RecordingBatch(std::uint64_t first_sequence, std::uint64_t count) {
+  return kRecording + StraightBatch(first_sequence, count);
 }
 
 std::string SquareBatch(std::uint64_t first_sequence, std::uint64_t count) {

@@ -18,9 +18,10 @@ namespace revisit::server {
 
 // A vehicle is a line with some of its settings, a batch a line for each pose:
 // sequence, x, y, heading, and the stamp in seconds where that is not the
-// sequence. Doubles are
-// written so that they read back exactly. For a geodetic vehicle x and y count
-// from the first pose, whose place is the origin's latitude and longitude.
+// sequence; behind the word "recording" where it begins one, of which nothing
+// is known. Doubles are written so that they read back exactly. For a geodetic
+// vehicle x and y count from the first pose, whose place is the origin's
+// latitude and longitude.
 class PlainCodec : public RecordCodec {
  public:
   std::string EncodeVehicle(const VehicleConfig& config) const override;
@@ -54,6 +55,9 @@ std::string PlainBatch(std::uint64_t first_sequence,
 
 // `count` poses 1 m apart, x as the sequence.
 std::string StraightBatch(std::uint64_t first_sequence, std::uint64_t count);
+
+// The same, of which the first begins a recording.
+std::string RecordingBatch(std::uint64_t first_sequence, std::uint64_t count);
 
 // `count` poses, 1 m apart, around and around a square of 20 m. `stamp`: from
 // the sequence of a pose, in seconds.

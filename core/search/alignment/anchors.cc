@@ -6,6 +6,7 @@
 #include <limits>
 
 #include "core/drive/confirmed_loop.h"
+#include "core/geometry/heading.h"
 #include "core/geometry/state_matrix.h"
 #include "core/noise/similarity_model.h"
 
@@ -18,13 +19,20 @@ bool Reaches(const WeighedDrift& drift, NodeIndex first) {
 
 template <int D>
 Anchors<D>::Anchors(const Query& query, const History& history,
-                    const RelativeModel& model, Direction direction)
-    : model_(model) {
+                    const RelativeModel& model, const RecentPath<D>& recent,
+                    const PathAxes<D>& axes, Direction direction)
+    : model_(model),
+      recent_(recent),
+      axes_(axes),
+      drifts_(DriftsIn(history, model.drifts)),
+      part_axes_(1) {
   SimilarityModel similarity = model.similarity;
   similarity.direction = direction;
   similarity.form = LikelihoodForm::kGaussian;
+  const std::size_t ways =
+      history.relation.is_own() ? 1 : history.relation.ways().size();
   parts_.reserve(std::max<std::size_t>(1, model.scales.size()) *
-                 (1 + model.drifts.size()));
+                 (ways + drifts_.size()));
   if (model.scales.empty()) AddParts(query, history, similarity, {});
   for (const WeighedScale& scale : model.scales) {
     AddParts(query, history, similarity, scale);
@@ -37,22 +45,66 @@ void Anchors<D>::AddParts(const Query& query, const History& history,
                           const WeighedScale& scale) {
   SimilarityModel scaled = similarity;
   scaled.inflation *= scale.scale;
+  if (history.relation.is_own()) {
+    AddOwnParts(query, history, scaled, scale);
+  } else {
+    AddTiedParts(query, history, scaled, scale);
+  }
+}
+
+template <int D>
+void Anchors<D>::AddOwnParts(const Query& query, const History& history,
+                             const SimilarityModel& similarity,
+                             const WeighedScale& scale) {
   const auto add = [&](const std::optional<ConfirmedLoop>& loop,
                        const WeighedDrift* drift) {
-    Part& part = parts_.emplace_back(query, history, scaled, loop);
+    Part& part = parts_.emplace_back();
+    part.finder.emplace(query, history, similarity, loop);
     part.scale = scale.scale;
     part.log_scale_weight = scale.log_weight;
     part.drift = drift;
   };
   add(model_.last_confirmed, nullptr);
-  for (const WeighedDrift& drift : model_.drifts) add(drift.loop, &drift);
+  for (const WeighedDrift& drift : drifts_) add(drift.loop, &drift);
+}
+
+template <int D>
+void Anchors<D>::AddTiedParts(const Query& query, const History& history,
+                              const SimilarityModel& similarity,
+                              const WeighedScale& scale) {
+  const Relation& relation = history.relation;
+  const auto add = [&](std::size_t way) -> Part& {
+    Part& part = parts_.emplace_back();
+    part.scale = scale.scale;
+    part.log_scale_weight = scale.log_weight;
+    part.way = way;
+    return part;
+  };
+  for (std::size_t i = 0; i < relation.ways().size(); ++i) {
+    const FrameWay& way = relation.ways()[i];
+    Part& part = add(i);
+    part.log_way_weight = way.log_weight;
+    if (way.is_unknown) continue;
+    part.finder.emplace(query, history, similarity, relation.tie(),
+                        way.fixed_scale);
+  }
+  for (std::size_t i = 0; i < drifts_.size(); ++i) {
+    const FrameRelation tie = relation.Shown(drifts_[i], similarity.inflation);
+    Part& part = add(relation.ways().size() + i);
+    part.drift = &drifts_[i];
+    part.heading = WrapHeading(query.graph.pose(query.node).heading -
+                               tie.transform.heading);
+    part.axes = part_axes_.size();
+    part_axes_.emplace_back();
+    part.finder.emplace(query, history, similarity, tie, 1.0);
+  }
 }
 
 // Gives each part its weight in the block that begins at node `first`.
 template <int D>
 void Anchors<D>::Weigh(NodeIndex first) {
   double left = 1.0;
-  for (const WeighedDrift& drift : model_.drifts) {
+  for (const WeighedDrift& drift : drifts_) {
     if (Reaches(drift, first)) left -= std::exp(drift.log_weight);
   }
   for (Part& part : parts_) {
@@ -60,6 +112,8 @@ void Anchors<D>::Weigh(NodeIndex first) {
     part.log_weight =
         part.log_scale_weight +
         (part.drift == nullptr ? std::log(left) : part.drift->log_weight);
+    // Nothing is added where there is one way.
+    if (part.log_way_weight != 0.0) part.log_weight += part.log_way_weight;
   }
 }
 
@@ -69,9 +123,8 @@ void Anchors<D>::Find(std::size_t k, std::size_t count, std::size_t next) {
   Weigh(static_cast<NodeIndex>(k * NodeBlock::kSize));
   for (Part& part : parts_) {
     if (!part.counts) continue;
-    part.finder.Find(k, count, next, &part.differences);
-    EvaluateDifferences(model_.similarity.state_space, part.differences,
-                        &part.similarity);
+    if (part.finder) part.finder->Find(k, count, next, &part.differences);
+    Evaluate(&part);
   }
 }
 
@@ -82,10 +135,36 @@ void Anchors<D>::FindAmong(const NodeBlock& nodes, const BlockColumn& indices,
   Weigh(first);
   for (Part& part : parts_) {
     if (!part.counts) continue;
-    part.finder.FindAmong(nodes, indices, count, &part.differences);
-    EvaluateDifferences(model_.similarity.state_space, part.differences,
-                        &part.similarity);
+    if (part.finder) {
+      part.finder->FindAmong(nodes, indices, count, &part.differences);
+    }
+    Evaluate(&part);
   }
+}
+
+// Where nothing ties the frames, each end is one of as many as the world holds,
+// by itself: the constant of the log-odds does not count.
+template <int D>
+void Anchors<D>::Evaluate(Part* part) {
+  if (part->finder) {
+    EvaluateDifferences(model_.similarity.state_space, part->differences,
+                        &part->similarity);
+    return;
+  }
+  part->similarity.log_similarity.fill(-LogWorldNodes(model_) -
+                                       LogNewPlaceTerm(model_));
+  part->similarity.squared_mahalanobis.fill(0.0);
+}
+
+template <int D>
+const PathAxes<D>& Anchors<D>::AxesOf(const Part& part) {
+  if (part.axes == 0) return axes_;
+  std::unique_ptr<const PathAxes<D>>& own = part_axes_[part.axes].own;
+  if (own == nullptr) {
+    own = std::make_unique<const PathAxes<D>>(recent_, part.heading,
+                                              axes_.apart_meters());
+  }
+  return *own;
 }
 
 template <int D>
@@ -95,11 +174,15 @@ bool Anchors<D>::IsPossible(std::size_t i) const {
   });
 }
 
-// The claimed covariances are the same in all parts, whatever their scales and
-// drifts, so the first part is asked.
+// The claimed covariances are about the same in all parts, whatever their
+// scales and drifts, so the first part is asked that looks at them.
 template <int D>
 bool Anchors<D>::AreAlike(std::size_t i, std::size_t j) const {
-  const DifferenceBlock& differences = parts_.front().differences;
+  const auto first =
+      std::find_if(parts_.begin(), parts_.end(),
+                   [](const Part& part) { return part.counts && part.finder; });
+  if (first == parts_.end()) return true;
+  const DifferenceBlock& differences = first->differences;
   for (int r = 0; r < D; ++r) {
     const BlockColumn& variances =
         differences.covariance[static_cast<std::size_t>(r * (r + 1) / 2 + r)];
@@ -122,8 +205,14 @@ void Anchors<D>::Bound(const SearchBounds<D>& bounds, BoundOf of,
   for (Part& part : parts_) {
     if (!part.counts) continue;
     BlockColumn& of_part = part_bounds_[counting++];
-    bounds.BoundEnds(part.differences, part.similarity, of, &of_part,
-                     &part.unshifted);
+    if (part.finder) {
+      const PathAxes<D>& axes = AxesOf(part);
+      bounds.BoundEnds(
+          of == BoundOf::kEnd ? axes.of_end() : axes.of_ends_around(), of,
+          part.differences, part.similarity, &of_part, &part.unshifted);
+    } else {
+      bounds.BoundAnywhere(part.similarity, &of_part, &part.unshifted);
+    }
     for (std::size_t i = 0; i < count_; ++i) {
       const bool possible = part.similarity.log_similarity[i] != kImpossible;
       of_part[i] = possible ? of_part[i] + part.log_weight : kImpossible;
@@ -145,19 +234,42 @@ void Anchors<D>::Bound(const SearchBounds<D>& bounds, BoundOf of,
   }
 }
 
+// B of what a path of so many steps may shift an end further, in the axes of
+// the part.
+template <int D>
+const double* Anchors<D>::FurtherShift(const Part& part,
+                                       std::optional<std::int64_t> steps) {
+  static constexpr double kNoFurther[kMostEntries] = {};
+  if (!steps) return kNoFurther;
+  const PathAxes<D>& seen = AxesOf(part);
+  Axes& axes = part_axes_[part.axes];
+  if (axes.further_after != steps) {
+    PackLower<D>(seen.FurtherShift(*steps), axes.further);
+    axes.further_after = steps;
+  }
+  return axes.further;
+}
+
 // With d the difference as it is shifted, G its covariance and A what a path
 // takes from that,
 //
 //   (d + s)^T (G - A)^-1 (d + s) + s^T B^-1 s >= d^T (G + B)^-1 d.
 template <int D>
 double Anchors<D>::BoundShifted(std::size_t i, const StateVector<D>& shift,
-                                const double* further) const {
+                                std::optional<std::int64_t> steps) {
   double most = kImpossible;
   double counting = 0.0;
   for (const Part& part : parts_) {
     if (!part.counts || part.similarity.log_similarity[i] == kImpossible) {
       continue;
     }
+    counting += 1.0;
+    if (!part.finder) {
+      most = std::max(most, part.log_weight + part.unshifted[i]);
+      continue;
+    }
+    const StateVector<D> turned = AxesOf(part).TurnedShift(shift);
+    const double* const further = FurtherShift(part, steps);
     // L^-1 d, by the factors L D L^T of G + B, row by row.
     double lower[D][D];
     double pivots[D];
@@ -166,7 +278,7 @@ double Anchors<D>::BoundShifted(std::size_t i, const StateVector<D>& shift,
     std::size_t entry = 0;
     for (int r = 0; r < D; ++r) {
       solved[r] = part.differences.difference[static_cast<std::size_t>(r)][i] +
-                  shift(r);
+                  turned(r);
       for (int c = 0; c <= r; ++c, ++entry) {
         double left = part.differences.covariance[entry][i] + further[entry];
         for (int k = 0; k < c; ++k) {
@@ -184,16 +296,26 @@ double Anchors<D>::BoundShifted(std::size_t i, const StateVector<D>& shift,
       squared += solved[r] * solved[r] / pivots[r];
     }
     most = std::max(most, part.log_weight + part.unshifted[i] - 0.5 * squared);
-    counting += 1.0;
   }
   return counting == 1.0 ? most : most + std::log(counting);
 }
 
+// The change comes in the axes of axes_.
 template <int D>
 void Anchors<D>::Change(const DifferenceChange& change) {
   for (Part& part : parts_) {
-    if (!part.counts) continue;
-    EvaluateChanged(model_.similarity.state_space, part.differences, change,
+    if (!part.counts || !part.finder) continue;
+    if (part.axes == 0) {
+      EvaluateChanged(model_.similarity.state_space, part.differences, change,
+                      &part.similarity);
+      continue;
+    }
+    const PathAxes<D>& axes = AxesOf(part);
+    DifferenceChange turned = change;
+    turned.certainty = axes.certainties();
+    turned.cosine = std::cos(axes.heading());
+    turned.sine = std::sin(axes.heading());
+    EvaluateChanged(model_.similarity.state_space, part.differences, turned,
                     &part.similarity);
   }
 }
@@ -205,7 +327,8 @@ auto Anchors<D>::At(std::size_t i) const -> Mixture {
     if (!part.counts) continue;
     const double weighed = part.similarity.log_similarity[i] + part.log_weight;
     if (!(weighed > mixture.log_similarity)) continue;
-    mixture = {weighed, part.similarity.squared_mahalanobis[i], part.scale};
+    mixture = {weighed, part.similarity.squared_mahalanobis[i], part.scale,
+               part.way};
   }
   // The sum is e^0 then.
   if (parts_.size() == 1 && mixture.log_similarity != kImpossible) {
@@ -224,9 +347,29 @@ auto Anchors<D>::At(std::size_t i) const -> Mixture {
 template <int D>
 void Anchors<D>::AppendScales(std::size_t i,
                               std::vector<double>* log_similarities) const {
-  assert(model_.drifts.empty());
-  for (const Part& part : parts_) {
-    log_similarities->push_back(part.similarity.log_similarity[i]);
+  assert(drifts_.empty());
+  for (std::size_t first = 0; first < parts_.size();) {
+    // The ways of one scale follow each other.
+    std::size_t last = first + 1;
+    while (last < parts_.size() && parts_[last].way > 0) ++last;
+    const auto weighed = [&](std::size_t part) {
+      return parts_[part].similarity.log_similarity[i] +
+             parts_[part].log_way_weight;
+    };
+    double greatest = weighed(first);
+    for (std::size_t part = first + 1; part < last; ++part) {
+      greatest = std::max(greatest, weighed(part));
+    }
+    double log_sum = greatest;
+    if (last - first > 1 && greatest != kImpossible) {
+      double sum = 0.0;
+      for (std::size_t part = first; part < last; ++part) {
+        sum += std::exp(weighed(part) - greatest);
+      }
+      log_sum += std::log(sum);
+    }
+    log_similarities->push_back(log_sum);
+    first = last;
   }
 }
 

@@ -7,11 +7,13 @@
 //   sum over scales k, drifts h of  v_k w_h N(d_j - mean_h; 0, Gamma_kh + R),
 //
 // where h = 0 is the drift as claimed. A drift that node j lies out of the
-// reach of counts as the drift as claimed there.
+// reach of counts as the drift as claimed there. In another recording, h = 0 is
+// a sum over the ways in which its frame may lie (relation.h).
 #ifndef REVISIT_CORE_SEARCH_ALIGNMENT_ANCHORS_H_
 #define REVISIT_CORE_SEARCH_ALIGNMENT_ANCHORS_H_
 
 #include <cstddef>
+#include <memory>
 #include <optional>
 #include <vector>
 
@@ -22,7 +24,9 @@
 #include "core/search/alignment/differences.h"
 #include "core/search/alignment/history.h"
 #include "core/search/alignment/log_similarity.h"
+#include "core/search/alignment/path_axes.h"
 #include "core/search/alignment/query.h"
+#include "core/search/alignment/recent_path.h"
 #include "core/search/alignment/relative_model.h"
 #include "core/search/alignment/search_bounds.h"
 #include "core/search/alignment/similarity_kernel.h"
@@ -34,7 +38,8 @@ class Anchors {
  public:
   // All must outlive this.
   Anchors(const Query& query, const History& history,
-          const RelativeModel& model, Direction direction);
+          const RelativeModel& model, const RecentPath<D>& recent,
+          const PathAxes<D>& axes, Direction direction);
 
   // Compares the query with the first `count` nodes of block k; what else is
   // told concerns these. `next` is the block that will be asked for after it.
@@ -59,14 +64,13 @@ class Anchors {
   // Undefined for nodes that are not possible.
   void Bound(const SearchBounds<D>& bounds, BoundOf of, BlockColumn* most);
 
-  // The same for node i, but for what is the same for all ends, once a path has
-  // shifted its difference by `shift`, in the axes of the local frame, and may
-  // shift it by s more, which costs it at least 1/2 s^T B^-1 s elsewhere. The
-  // entries of B are `further`, those of a lower triangle. Infinity where
-  // nothing is known. REQUIRES: Bound() came after the nodes were found,
-  // Change() not.
+  // The same for node i, but for what is the same for all ends, once a path of
+  // so many steps has shifted its difference by `shift`, in the axes of the
+  // vehicle at the end, and as far as it may shift it further; nothing for a
+  // path that has ended. Infinity where nothing is known. REQUIRES: Bound()
+  // came after the nodes were found, Change() not.
   double BoundShifted(std::size_t i, const StateVector<D>& shift,
-                      const double* further) const;
+                      std::optional<std::int64_t> steps);
 
   // Changes the differences by what paths have shown.
   void Change(const DifferenceChange& change);
@@ -76,21 +80,33 @@ class Anchors {
     double log_similarity = kImpossible;
     double squared_mahalanobis = 0.0;
     double scale = 1.0;
+    // In another recording: its place among the relation's ways, and behind
+    // these among its drifts.
+    std::size_t way = 0;
   };
   // REQUIRES: i is possible.
   Mixture At(std::size_t i) const;
 
   // The log-similarity under each scale alone, kImpossible where it is
-  // ill-conditioned. REQUIRES: the model has no drifts.
+  // ill-conditioned. REQUIRES: there are no drifts.
   void AppendScales(std::size_t i, std::vector<double>* log_similarities) const;
 
  private:
-  struct Part {
-    Part(const Query& query, const History& history,
-         const SimilarityModel& model, const std::optional<ConfirmedLoop>& loop)
-        : finder(query, history, model, loop) {}
+  // The axes of a part of its own, and what BoundShifted() needs in them.
+  struct Axes {
+    std::unique_ptr<const PathAxes<D>> own;
+    std::optional<std::int64_t> further_after;
+    double further[kMostEntries] = {};
+  };
 
-    Differences<D> finder;
+  struct Part {
+    // Nothing where it is not known how the frames lie to each other.
+    std::optional<Differences<D>> finder;
+    // The query's heading in the history's frame, as this part has it.
+    double heading = 0.0;
+    std::size_t axes = 0;
+    std::size_t way = 0;
+    double log_way_weight = 0.0;
     double scale = 1.0;
     double log_scale_weight = 0.0;
     // Nothing for the drift as claimed.
@@ -106,10 +122,26 @@ class Anchors {
 
   void AddParts(const Query& query, const History& history,
                 const SimilarityModel& similarity, const WeighedScale& scale);
+  void AddOwnParts(const Query& query, const History& history,
+                   const SimilarityModel& similarity,
+                   const WeighedScale& scale);
+  void AddTiedParts(const Query& query, const History& history,
+                    const SimilarityModel& similarity,
+                    const WeighedScale& scale);
   void Weigh(NodeIndex first);
+  void Evaluate(Part* part);
+  const PathAxes<D>& AxesOf(const Part& part);
+  const double* FurtherShift(const Part& part,
+                             std::optional<std::int64_t> steps);
 
   const RelativeModel& model_;
+  const RecentPath<D>& recent_;
+  const PathAxes<D>& axes_;
+  // model_.drifts, or what the relation knows.
+  const std::vector<WeighedDrift>& drifts_;
   std::vector<Part> parts_;
+  // Entry 0 is for axes_; the others, for parts that see the path turned.
+  std::vector<Axes> part_axes_;
   // Nodes that are told of.
   std::size_t count_ = 0;
   // Scratch: the bound of each part.

@@ -31,10 +31,88 @@ Differences<D>::Differences(const Query& query, const History& history,
 }
 
 template <int D>
+Differences<D>::Differences(const Query& query, const History& history,
+                            const SimilarityModel& model,
+                            const FrameRelation& tie, double fixed_scale)
+    : query_(query),
+      history_(history),
+      model_(model),
+      has_closed_form_(true),
+      next_(query.node),
+      is_tied_(true) {
+  const FramePair<D> pair(history.relation.nodes(), tie, query.node,
+                          model.inflation, fixed_scale);
+  MakeTied(pair, /*is_before=*/true, &before_);
+  MakeTied(pair, /*is_before=*/false, &after_);
+  reference_ = pair.reference();
+}
+
+template <int D>
+void Differences<D>::MakeTied(const FramePair<D>& pair, bool is_before,
+                              Tied* tied) const {
+  KernelQuery& query = tied->query;
+  query.pose = pair.query();
+  query.covariance = ToCovariance<D>(pair.own());
+  query.state_space = model_.state_space;
+  query.opposite = model_.direction == Direction::kOpposite;
+  query.position_variance =
+      model_.tolerance.position_meters * model_.tolerance.position_meters;
+  query.heading_variance =
+      model_.tolerance.heading_radians * model_.tolerance.heading_radians;
+  TiedTerms& terms = tied->terms;
+  terms.node_scale = pair.node_scale(is_before);
+  terms.x = pair.place().x;
+  terms.y = pair.place().y;
+  for (int r = 0; r < D; ++r) {
+    for (int c = 0; c < D; ++c) {
+      terms.swung[r][c] = pair.swung(is_before)(r, c);
+    }
+  }
+}
+
+template <int D>
+void Differences<D>::FindTied(const NodeBlock& nodes, const NodeBlock& next,
+                              NodeIndex first, const BlockColumn* indices,
+                              std::size_t count,
+                              DifferenceBlock* differences) const {
+  const auto is_before = [&](std::size_t i) {
+    return (indices == nullptr
+                ? first + static_cast<NodeIndex>(i)
+                : static_cast<NodeIndex>((*indices)[i])) < reference_;
+  };
+  std::size_t before = 0;
+  for (std::size_t i = 0; i < count; ++i) before += is_before(i) ? 1 : 0;
+  const auto find = [&](const Tied& tied, DifferenceBlock* found) {
+    KernelQuery query = tied.query;
+    query.tied = &tied.terms;
+    FindDifferences(query, nodes, next, nullptr, found);
+  };
+  find(before == count ? before_ : after_, differences);
+  if (before == 0 || before == count) return;
+  DifferenceBlock of_before;
+  of_before.count = differences->count;
+  find(before_, &of_before);
+  for (std::size_t i = 0; i < count; ++i) {
+    if (!is_before(i)) continue;
+    for (std::size_t r = 0; r < D; ++r) {
+      differences->difference[r][i] = of_before.difference[r][i];
+    }
+    for (std::size_t entry = 0; entry < D * (D + 1) / 2; ++entry) {
+      differences->covariance[entry][i] = of_before.covariance[entry][i];
+    }
+  }
+}
+
+template <int D>
 void Differences<D>::Find(std::size_t k, std::size_t count, std::size_t next,
                           DifferenceBlock* differences) {
   differences->count = NodeBlock::kSize;
-  if (!has_closed_form_) {
+  if (is_tied_) {
+    const PoseGraph& graph = history_.graph;
+    FindTied(graph.block(k), graph.block(next),
+             static_cast<NodeIndex>(k * NodeBlock::kSize), nullptr, count,
+             differences);
+  } else if (!has_closed_form_) {
     FindFiltered(k, count, differences);
   } else {
     alignas(64) BlockShares shares;
@@ -62,6 +140,10 @@ void Differences<D>::FindAmong(const NodeBlock& nodes,
                                DifferenceBlock* differences) {
   differences->count = count;
   assert(model_.correlation.noise().neighbours_err_alike);
+  if (is_tied_) {
+    FindTied(nodes, nodes, 0, &indices, count, differences);
+    return;
+  }
   FindDifferences(kernel_query_, nodes, nodes, nullptr, differences);
   if (known_drift_) {
     TakeKnownDrift(*known_drift_, model_.state_space, nodes, indices,

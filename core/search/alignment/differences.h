@@ -8,6 +8,7 @@
 #include <optional>
 
 #include "core/drive/confirmed_loop.h"
+#include "core/drive/frame_relation.h"
 #include "core/drive/pose_graph.h"
 #include "core/geometry/pose.h"
 #include "core/noise/filter.h"
@@ -29,6 +30,11 @@ class Differences {
   Differences(const Query& query, const History& history,
               const SimilarityModel& model,
               const std::optional<ConfirmedLoop>& last_confirmed);
+  // The same for another recording whose frame is tied like this, with the
+  // variances of its own error times `fixed_scale`.
+  Differences(const Query& query, const History& history,
+              const SimilarityModel& model, const FrameRelation& tie,
+              double fixed_scale);
 
   // Finds the differences of the first `count` nodes of block k; those of the
   // other entries are 0. `next` is the block that will be asked for after it,
@@ -44,6 +50,19 @@ class Differences {
                  std::size_t count, DifferenceBlock* differences);
 
  private:
+  // How nodes before the reference of the two frames are compared, and the
+  // others.
+  struct Tied {
+    KernelQuery query;
+    TiedTerms terms;
+  };
+
+  void MakeTied(const FramePair<D>& pair, bool is_before, Tied* tied) const;
+  // Those of the nodes [first, first + count) of the graph, or of as many with
+  // these indices.
+  void FindTied(const NodeBlock& nodes, const NodeBlock& next, NodeIndex first,
+                const BlockColumn* indices, std::size_t count,
+                DifferenceBlock* differences) const;
   void FindFiltered(std::size_t k, std::size_t count,
                     DifferenceBlock* differences);
   void CarryBackTo(NodeIndex j);
@@ -52,12 +71,17 @@ class Differences {
   const History& history_;
   const SimilarityModel model_;
   const bool has_closed_form_;
-  // Where it has one.
+  // Where it has one, in the query's own recording.
   KernelQuery kernel_query_;
   std::optional<KnownDriftTerms> known_drift_;
   // Where it has none: Psi(query, next_).
   BackwardTransition<D> back_;
   NodeIndex next_;
+  // In another recording: nodes before the reference, and the others.
+  bool is_tied_ = false;
+  Tied before_;
+  Tied after_;
+  NodeIndex reference_ = 0;
 };
 
 }  // namespace revisit::core

@@ -23,8 +23,8 @@ EndFinder<D>::EndFinder(const SearchInputs<D>& inputs, Direction direction,
       weight_(inputs.recent.weight()),
       constant_(inputs.bounds.constant()),
       batch_(*batch),
-      walk_(inputs.history, inputs.recent, direction, inputs.model.over_loops,
-            inputs.table),
+      walk_(inputs.history, inputs.recent, inputs.axes, direction,
+            inputs.model.over_loops, inputs.table),
       found_(ScalesTold(inputs.model)) {}
 
 template <int D>
@@ -79,22 +79,16 @@ const BestPaths& EndFinder<D>::WalkBack(const BlockNodes& useful,
 // best and however it goes on.
 template <int D>
 bool EndFinder<D>::IsUseless(const PathSoFar<D>& path, double least) {
-  const RecentPath<D>& recent = inputs_.recent;
-  if (further_after_ != path.steps) {
-    PackLower<D>(recent.FurtherShift(path.steps), further_);
-    further_after_ = path.steps;
-  }
-  static constexpr double kNoFurther[kMostEntries] = {};
   const double beside = constant_ + kBoundSlack;
   const auto falls_short = [&](const StateVector<D>& shift,
-                               const double* further, double ratio) {
-    return batch_.anchors().BoundShifted(path.slot, recent.ShiftToFrame(shift),
-                                         further) +
+                               std::optional<std::int64_t> steps,
+                               double ratio) {
+    return batch_.anchors().BoundShifted(path.slot, shift, steps) +
                weight_ * ratio + beside <
            least;
   };
-  return falls_short(path.shift, further_, path.most_ratio) &&
-         falls_short(path.best_shift, kNoFurther, path.best_ratio);
+  return falls_short(path.shift, path.steps, path.most_ratio) &&
+         falls_short(path.best_shift, std::nullopt, path.best_ratio);
 }
 
 // Keeps the useful ends that have come to the least log-odds.
@@ -111,7 +105,8 @@ void EndFinder<D>::Collect(const BlockNodes& useful,
     progress->Found(score);
     found_.Add({batch_.node(i), score, stands_for[i]},
                {paths.log_likelihood_ratios[i], paths.squared_innovations[i],
-                anchor.squared_mahalanobis, anchor.scale, paths.change.row[i]});
+                anchor.squared_mahalanobis, anchor.scale, paths.change.row[i],
+                anchor.way});
     if (!inputs_.model.tell_scales) continue;
     std::vector<double>& odds = *found_.odds_by_scale();
     const auto first = static_cast<std::ptrdiff_t>(odds.size());

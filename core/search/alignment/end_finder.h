@@ -58,9 +58,6 @@ class EndFinder {
   // The most that the log-odds of each end can come to.
   BlockColumn most_;
   std::vector<WalkStart> starts_;
-  // RecentPath::FurtherShift() after so many steps.
-  std::int64_t further_after_ = -1;
-  double further_[kMostEntries] = {};
 };
 
 }  // namespace revisit::core

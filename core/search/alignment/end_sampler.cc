@@ -46,7 +46,8 @@ EndSampler<D>::EndSampler(const SearchInputs<D>& inputs, Direction direction,
 
 template <int D>
 std::size_t EndSampler<D>::DriftsInto(std::size_t block) const {
-  const std::vector<WeighedDrift>& all = inputs_.model.drifts;
+  const std::vector<WeighedDrift>& all =
+      DriftsIn(inputs_.history, inputs_.model.drifts);
   std::size_t drifts = 0;
   for (std::size_t i = 0; i < all.size(); ++i) {
     drifts |= static_cast<std::size_t>(Reaches(

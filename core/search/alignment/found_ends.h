@@ -23,6 +23,9 @@ struct ShapeMatch {
   double scale = 1.0;
   // Steps of the recent path that it covers; 0 for the end alone.
   std::int64_t steps = 0;
+  // In another recording, the way in which its frame most probably lies there
+  // (Anchors::Mixture).
+  std::size_t way = 0;
 };
 
 // Ends of one direction, sorted by node.

@@ -19,10 +19,10 @@ std::optional<HeadingMatch> HeadingMatch::Make(const Query& query,
                                                const History& history,
                                                const RecentPath<D>& recent) {
   if (history.heading_bins == nullptr ||
-      history.heading_bins->size() < history.size) {
+      history.heading_bins->size() < history.end) {
     return std::nullopt;
   }
-  HeadingMatch match(*history.heading_bins, history.size);
+  HeadingMatch match(*history.heading_bins, history.end);
   const ShapeFilter<D>& filter = recent.filter();
   const double end = query.graph.pose(query.node).heading;
   const double radians = InHeadingBins(1.0);

@@ -3,6 +3,7 @@
 #ifndef REVISIT_CORE_SEARCH_ALIGNMENT_HISTORY_H_
 #define REVISIT_CORE_SEARCH_ALIGNMENT_HISTORY_H_
 
+#include <cstddef>
 #include <vector>
 
 #include "core/drive/block_bounds.h"
@@ -14,19 +15,37 @@
 namespace revisit::core {
 
 struct History {
+  NodeIndex size() const { return end - first; }
+
   // A drive, or a copy of it as it was. Outlives the history.
   const PoseGraph& graph;
-  // Nodes [0, size) may be compared, in a frame of their own.
-  NodeIndex size = 0;
+  // Nodes [first, end) may be compared, in a frame of their own.
+  NodeIndex end = 0;
   // Ranges whose nodes may not be ends. May overlap.
   std::vector<NodeRange> not_sought = {};
   // Indexes of the graph, or null. No ends are sampled without the headings of
-  // all `size` nodes, and every node is looked at in blocks without bounds.
+  // all nodes before the end, and every node is looked at in blocks without
+  // bounds.
   const HeadingBins* heading_bins = nullptr;
   const BlockBounds* block_bounds = nullptr;
   // How the history lies to the drive that asks.
   Relation relation = {};
+  // A recording begins there, so that no road leads farther back.
+  NodeIndex first = 0;
+  // Which of the drive's recordings it is of.
+  std::size_t recording = 0;
+  // For another recording, in which errors count from a reference: whether they
+  // grow from each node of a block to it, or from it to each node
+  // (block_growth.h). By block of the graph; null where it is not known.
+  const std::vector<char>* growing = nullptr;
 };
+
+// The drifts that are held possible there: the model's in the past of the
+// query's own recording, and those that the relation knows in others.
+inline const std::vector<WeighedDrift>& DriftsIn(
+    const History& history, const std::vector<WeighedDrift>& own) {
+  return history.relation.is_own() ? own : history.relation.drifts();
+}
 
 }  // namespace revisit::core
 

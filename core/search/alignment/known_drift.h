@@ -27,11 +27,6 @@
 
 namespace revisit::core {
 
-// R_c where nothing was measured: a verifier confirms that two poses are at one
-// place, which is some 10 m wide (two standard deviations), but not how they
-// lie to each other.
-inline constexpr PlaceTolerance kConfirmedTolerance{5.0, 0.15};
-
 // A pose of the closure, between this node and the next.
 template <int D>
 struct LoopEnd {

@@ -10,9 +10,12 @@ namespace revisit::core {
 BlockNodes SoughtIn(const History& history, std::size_t k) {
   constexpr auto kSize = static_cast<NodeIndex>(NodeBlock::kSize);
   const auto first = static_cast<NodeIndex>(k * NodeBlock::kSize);
-  const NodeIndex count = std::min(kSize, history.size - first);
+  const NodeIndex count = std::min(kSize, history.end - first);
   BlockNodes sought;
   sought.set();
+  for (NodeIndex i = first; i < std::min(history.first, first + kSize); ++i) {
+    sought.reset(static_cast<std::size_t>(i - first));
+  }
   for (const NodeRange& nodes : history.not_sought) {
     const NodeIndex last = std::min(nodes.last - first, count);
     for (NodeIndex i = std::max<NodeIndex>(nodes.first - first, 0); i < last;
@@ -27,7 +30,7 @@ template <int D>
 void NodeBatch<D>::TakeBlock(std::size_t k, std::size_t next) {
   const auto first = static_cast<NodeIndex>(k * NodeBlock::kSize);
   size_ = std::min(NodeBlock::kSize,
-                   static_cast<std::size_t>(history_.size - first));
+                   static_cast<std::size_t>(history_.end - first));
   std::iota(nodes_.begin(), nodes_.end(), first);
   anchors_.Find(k, size_, next);
 }

@@ -16,8 +16,8 @@
 
 namespace revisit::core {
 
-// The nodes of block k that may be ends. Those beyond the history count as if
-// they might.
+// The nodes of block k that may be ends. Those beyond the history's end count
+// as if they might.
 BlockNodes SoughtIn(const History& history, std::size_t k);
 
 // Takes new nodes again and again without allocating memory.
@@ -26,7 +26,8 @@ class NodeBatch {
  public:
   NodeBatch(const SearchInputs<D>& inputs, Direction direction)
       : history_(inputs.history),
-        anchors_(inputs.query, inputs.history, inputs.model, direction) {}
+        anchors_(inputs.query, inputs.history, inputs.model, inputs.recent,
+                 inputs.axes, direction) {}
 
   // Takes the nodes of block k. `next`: the block that will be asked for after
   // it. REQUIRES: where the noise model has no closed form, k falls from call

@@ -55,16 +55,18 @@ Direction DirectionBeyond(const PoseGraph& graph, NodeIndex near, NodeIndex far,
 
 template <int D>
 PathWalk<D>::PathWalk(const History& history, const RecentPath<D>& recent,
-                      Direction direction, bool over_loops, PoseTable* table)
+                      const PathAxes<D>& axes, Direction direction,
+                      bool over_loops, PoseTable* table)
     : graph_(history.graph),
       recent_(recent),
-      size_(history.size),
+      first_(history.first),
+      end_(history.end),
       direction_(direction),
       table_(*table),
       has_loops_(over_loops && graph_.has_loop_edges()) {
-  best_.change.certainty = recent.certainties();
-  best_.change.cosine = std::cos(recent.heading());
-  best_.change.sine = std::sin(recent.heading());
+  best_.change.certainty = axes.certainties();
+  best_.change.cosine = std::cos(axes.heading());
+  best_.change.sine = std::sin(axes.heading());
   best_.change.least_left = kLeastUncertaintyLeft;
 }
 
@@ -199,7 +201,7 @@ void PathWalk<D>::WalkOverLoops(std::int64_t t, std::size_t walkers) {
   for (std::size_t i = 0; i < walkers; ++i) {
     const NodeIndex near = walkers_.at(Walkers::kNode, i);
     for (const NodeIndex far : graph_.LoopNeighbours(near)) {
-      if (far < size_) WalkOver(t, i, far);
+      if (far >= first_ && far < end_) WalkOver(t, i, far);
     }
   }
 }
@@ -388,7 +390,7 @@ template <int D>
 inline NodeIndex PathWalk<D>::LastOf(NodeIndex i, Direction direction) const {
   return direction == Direction::kSame
              ? graph_.SegmentStart(i)
-             : std::min(graph_.SegmentEnd(i), size_) - 1;
+             : std::min(graph_.SegmentEnd(i), end_) - 1;
 }
 
 template <int D>

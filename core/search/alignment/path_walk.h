@@ -23,6 +23,7 @@
 #include "core/geometry/state_matrix.h"
 #include "core/search/alignment/history.h"
 #include "core/search/alignment/log_similarity.h"
+#include "core/search/alignment/path_axes.h"
 #include "core/search/alignment/pose_table.h"
 #include "core/search/alignment/recent_path.h"
 #include "core/search/alignment/shape_filter.h"
@@ -82,10 +83,11 @@ template <int D>
 class PathWalk {
  public:
   // `over_loops`: whether paths are walked over the history's confirmed loop
-  // closures. The history's graph, the recent path and the table, that of the
-  // history, must outlive this.
+  // closures; none leads out of the history. The history's graph, the recent
+  // path, its axes there and the table, that of the history, must outlive this.
   PathWalk(const History& history, const RecentPath<D>& recent,
-           Direction direction, bool over_loops, PoseTable* table);
+           const PathAxes<D>& axes, Direction direction, bool over_loops,
+           PoseTable* table);
 
   // Whether a path is of no use, neither as it was when it was best nor however
   // it goes on.
@@ -138,7 +140,8 @@ class PathWalk {
 
   const PoseGraph& graph_;
   const RecentPath<D>& recent_;
-  const NodeIndex size_;
+  const NodeIndex first_;
+  const NodeIndex end_;
   const Direction direction_;
   PoseTable& table_;
   const bool has_loops_;

@@ -10,11 +10,8 @@ RecentPath<D>::RecentPath(const Query& query, const RelativeModel& model)
               model.similarity.correlation, model.shape,
               model.similarity.tolerance, model.spacing_meters,
               model.similarity.inflation),
-      heading_(query.graph.pose(query.node).heading),
-      turn_(TurnAbout<D>(heading_)),
       weight_(ShapeWeight(model.shape, model.spacing_meters)),
-      steps_(static_cast<std::size_t>(query.steps)),
-      certainties_(steps_.size() * kMostEntries) {
+      steps_(static_cast<std::size_t>(query.steps)) {
   for (std::size_t t = steps_.size(); t-- > 0;) {
     const auto number = static_cast<std::int64_t>(t);
     WalkStep& step = steps_[t];
@@ -24,14 +21,7 @@ RecentPath<D>::RecentPath(const Query& query, const RelativeModel& model)
       const WalkStep& next = steps_[t + 1];
       step.to_come = next.to_come + next.surprise;
     }
-    PackLower<D>(ToFrame(filter_.EndCertainty(number)),
-                 certainties_.data() + t * kMostEntries);
   }
-}
-
-template <int D>
-StateMatrix<D> RecentPath<D>::ToFrame(const StateMatrix<D>& covariance) const {
-  return turn_ * covariance * turn_.transpose();
 }
 
 template class RecentPath<3>;

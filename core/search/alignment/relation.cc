@@ -1,11 +1,35 @@
 #include "core/search/alignment/relation.h"
 
 #include <cassert>
+#include <cmath>
+#include <utility>
 
+#include "core/geometry/frame_transform.h"
 #include "core/geometry/state_matrix.h"
 #include "core/noise/similarity_model.h"
 
 namespace revisit::core {
+
+Relation::Relation(const FrameNodes& nodes, const FrameRelation& tie,
+                   std::vector<WeighedDrift> drifts) {
+  std::vector<FrameWay> ways;
+  if (!tie.is_tied()) {
+    ways = {{0.0, 1.0, true}};
+  } else if (tie.state == FrameState::kAfter ||
+             tie.state == FrameState::kDatum) {
+    ways = {{std::log1p(-kTailShare), 1.0, false},
+            {std::log(kTailShare), kTailVariance, false}};
+  } else {
+    ways = {{0.0, 1.0, false}};
+  }
+  other_ = std::make_shared<const Other>(
+      Other{nodes, tie, std::move(ways), std::move(drifts)});
+}
+
+Pose Relation::InHistory(const Pose& pose) const {
+  if (is_own() || !other_->tie.is_tied()) return pose;
+  return Compose(Inverse(other_->tie.transform), pose);
+}
 
 Pose Relation::Difference(const SimilarityModel& model, const Pose& query,
                           const Pose& matched) const {
@@ -38,12 +62,11 @@ ErrorTransition Relation::TransitionTowards(const Query& query,
 }
 
 // Most queries lie well behind their history, but sequences may be short.
-std::size_t Relation::BlocksBefore(const Query& query,
-                                   NodeIndex history_size) const {
-  assert(history_size <= query.node);
+std::size_t Relation::BlocksBefore(const Query& query, NodeIndex end) const {
+  assert(end <= query.node);
   constexpr auto kBlock = static_cast<NodeIndex>(NodeBlock::kSize);
-  std::size_t blocks =
-      static_cast<std::size_t>(history_size) / NodeBlock::kSize;
+  std::size_t blocks = static_cast<std::size_t>(end) / NodeBlock::kSize;
+  if (!is_own()) return blocks;
   while (blocks > 0 &&
          (static_cast<NodeIndex>(blocks) + 1) * kBlock + kBlock / 2 >
              query.node) {

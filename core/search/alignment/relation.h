@@ -3,32 +3,48 @@
 // q it says what an alignment needs of the two together,
 //
 //   d_j      = x_q - T x_j               heading in (-pi, pi],
-//   Gamma_qj = Cov(e_q - T e_j),
+//   Gamma_qj = Cov(e_q - T e_j);
 //
-// in the axes of the asking drive's frame; T is the pose of the history's frame
-// in it, x an estimate and e its error.
+// T is the pose of the history's frame in the asking one, x an estimate and e
+// its error. An alignment finds both in the axes of the history, where they are
+// turned by T, which changes no odds and leaves the history as it is.
 //
-// There is one relation, that of a drive to its own past:
+// There are two relations. That of a recording to its own past:
 // - T is the identity.
 // - Errors are those of one chain, so Gamma has the cross-covariance of q and j
 //   that the noise model says (node_noise.h). The similarity kernel finds it
 //   for whole blocks.
-// - Node j of the history is node j of the asking drive, now or as it was, and
-//   lies before q: distances along the path and cross-covariances are those of
-//   the asking drive.
+// - Node j lies before q in the same recording.
 //
-// Whoever needs any of this asks a relation. Beside it, only the following take
-// the two for one graph: Differences (differences.h), with the kernel and with
-// what closures have shown of the drift (known_drift.h), and the paper's
-// alignment (composite_search.h). Within one history, distances along the path
-// and loop closures are those of its own graph.
+// And that to another recording (frame_relation.h), whose T is uncertain in one
+// of several ways, each with its weight:
+// - The ways of the frames as they are tied: T with the covariance P. Where no
+//   closure ties them, one in twenty errs by three times as much, so that an
+//   unlucky datum does not hide all of a recording.
+// - Where nothing ties them, T is not known at all. Then no end is likelier
+//   than another by where it lies: each of the nodes that the world may hold
+//   (kWorldSquareMeters) is as likely.
+// - The ways that marks of the drive have shown, each for the nodes near one
+//   place: T updated as by a closure that says no more than that two nodes are
+//   at one place.
+//
+// Beside a relation, only the following take query and history for one graph:
+// Differences (differences.h), with the kernel and with what closures have
+// shown of the drift (known_drift.h), and the paper's alignment
+// (composite_search.h).
 #ifndef REVISIT_CORE_SEARCH_ALIGNMENT_RELATION_H_
 #define REVISIT_CORE_SEARCH_ALIGNMENT_RELATION_H_
 
 #include <cstddef>
+#include <memory>
+#include <optional>
+#include <vector>
 
 #include "core/drive/block_bounds.h"
+#include "core/drive/confirmed_loop.h"
+#include "core/drive/frame_relation.h"
 #include "core/drive/node_noise.h"
+#include "core/drive/node_range.h"
 #include "core/drive/pose_graph.h"
 #include "core/geometry/pose.h"
 #include "core/geometry/state_matrix.h"
@@ -38,9 +54,47 @@
 
 namespace revisit::core {
 
-// Thread-safe: it has no state.
+// A place that the vehicle has probably passed before, and so a drift, or a
+// pose of another frame, that is probable. Ends outside `reach` are compared as
+// if it were not known: between passes far from the two nodes it is another.
+struct WeighedDrift {
+  ConfirmedLoop loop;
+  NodeRange reach;
+  double log_weight = 0.0;
+};
+
+// Where recordings may lie that nothing ties, m^2: a city.
+inline constexpr double kWorldSquareMeters = 1e8;
+
+// Share of the relations of frames that no closure ties which err by
+// kTailVariance times the variances.
+inline constexpr double kTailShare = 0.05;
+inline constexpr double kTailVariance = 9.0;
+
+// One of the ways in which another frame may lie.
+struct FrameWay {
+  double log_weight = 0.0;
+  // Multiplies the variances of T's own error.
+  double fixed_scale = 1.0;
+  // Whether T is not known; then the scale does not count.
+  bool is_unknown = false;
+};
+
+// Immutable. Copies share what they hold.
 class Relation {
  public:
+  // That of a recording to its own past.
+  Relation() = default;
+  // That to another recording. `drifts` are the ways that marks have shown, in
+  // falling order of their marks; their weights sum to less than 1. What
+  // `nodes` refers to outlives this.
+  Relation(const FrameNodes& nodes, const FrameRelation& tie,
+           std::vector<WeighedDrift> drifts);
+
+  bool is_own() const { return other_ == nullptr; }
+
+  // ---- The past of the query's own recording. REQUIRES: is_own().
+
   // d_j, for kOpposite with one of the headings turned by pi.
   Pose Difference(const SimilarityModel& model, const Pose& query,
                   const Pose& matched) const;
@@ -61,18 +115,47 @@ class Relation {
   // query. REQUIRES: i is at most the query's node.
   ErrorTransition TransitionTowards(const Query& query, NodeIndex i) const;
 
-  // A pose of the asking drive, in the history's frame.
-  Pose InHistory(const Pose& pose) const { return pose; }
-
-  // How many of the history's first blocks are full and lie well before the
-  // query, so that none of their nodes is near it along the path.
-  std::size_t BlocksBefore(const Query& query, NodeIndex history_size) const;
-
   // The first block from which the history's errors grow up to the query as
   // those of dead reckoning do (BlockBounds::FirstGrowing()). REQUIRES:
   // blocks <= BlocksBefore(), and the bounds have them.
   std::size_t FirstGrowing(const Query& query, const BlockBounds& bounds,
                            std::size_t blocks) const;
+
+  // ---- Another recording. REQUIRES: !is_own().
+
+  FrameState state() const { return other_->tie.state; }
+  const FrameNodes& nodes() const { return other_->nodes; }
+  // The frames as they are tied, and the ways in which they may lie for it.
+  const FrameRelation& tie() const { return other_->tie; }
+  const std::vector<FrameWay>& ways() const { return other_->ways; }
+  // The ways that marks have shown.
+  const std::vector<WeighedDrift>& drifts() const { return other_->drifts; }
+  // The tie as a mark has shown it. Takes O(1), and is another one for each
+  // scale of the claims.
+  FrameRelation Shown(const WeighedDrift& drift, double drift_scale) const {
+    return TiedBy(other_->nodes, other_->tie, drift.loop, drift_scale);
+  }
+
+  // ---- Both.
+
+  // A pose of the asking frame in the history's, as it is tied; as it is where
+  // nothing ties them.
+  Pose InHistory(const Pose& pose) const;
+
+  // How many of the first blocks before node `end` of the history are full and
+  // lie well before the query, so that none of their nodes is near it along the
+  // path.
+  std::size_t BlocksBefore(const Query& query, NodeIndex end) const;
+
+ private:
+  struct Other {
+    FrameNodes nodes;
+    FrameRelation tie;
+    std::vector<FrameWay> ways;
+    std::vector<WeighedDrift> drifts;
+  };
+
+  std::shared_ptr<const Other> other_;
 };
 
 }  // namespace revisit::core

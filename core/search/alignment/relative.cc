@@ -12,6 +12,7 @@
 #include "core/search/alignment/anchors.h"
 #include "core/search/alignment/direction_search.h"
 #include "core/search/alignment/heading_match.h"
+#include "core/search/alignment/path_axes.h"
 #include "core/search/alignment/pose_table.h"
 #include "core/search/alignment/recent_path.h"
 #include "core/search/alignment/search_bounds.h"
@@ -24,10 +25,15 @@ namespace {
 // AlignmentParts.
 template <int D>
 struct Parts {
-  Parts(const Query& query, const History& history, const RelativeModel& model)
-      : recent(query, model),
-        poses(history.graph, history.size),
-        headings(HeadingMatch::Make<D>(query, history, recent)) {}
+  Parts(const Query& query, const History& history, const RelativeModel& model,
+        std::shared_ptr<const RecentPath<D>> path)
+      : recent(std::move(path)),
+        axes(*recent,
+             history.relation.InHistory(query.graph.pose(query.node)).heading,
+             static_cast<double>(StrideOf(history.size())) *
+                 model.spacing_meters),
+        poses(history.graph, history.end),
+        headings(HeadingMatch::Make<D>(query, history, *recent)) {}
 
   // The parts that are kept, which are made if there are none.
   static std::shared_ptr<const Parts> Of(const Query& query,
@@ -37,12 +43,22 @@ struct Parts {
     if (kept != nullptr && kept->parts != nullptr) {
       return std::static_pointer_cast<const Parts>(kept->parts);
     }
-    auto parts = std::make_shared<const Parts>(query, history, model);
-    if (kept != nullptr) kept->parts = parts;
+    std::shared_ptr<const RecentPath<D>> path;
+    if (kept != nullptr && kept->path != nullptr) {
+      path = std::static_pointer_cast<const RecentPath<D>>(kept->path);
+    } else {
+      path = std::make_shared<const RecentPath<D>>(query, model);
+    }
+    auto parts = std::make_shared<const Parts>(query, history, model, path);
+    if (kept != nullptr) {
+      kept->path = std::move(path);
+      kept->parts = parts;
+    }
     return parts;
   }
 
-  const RecentPath<D> recent;
+  const std::shared_ptr<const RecentPath<D>> recent;
+  const PathAxes<D> axes;
   // Filled in on the way.
   mutable PoseTable poses;
   // Nothing where these tell nothing.
@@ -54,7 +70,8 @@ struct Parts {
 // does not depend on them.
 bool TakesHeadings(const RelativeModel& model, const History& history) {
   return model.most_log_odds_sampled != kImpossible &&
-         !(model.over_loops && history.graph.HasLoopEdgeAmong(history.size));
+         !(model.over_loops &&
+           history.graph.HasLoopEdgeAmong(history.first, history.end));
 }
 
 // One alignment, in all directions that are sought.
@@ -63,17 +80,18 @@ class Aligner {
  public:
   Aligner(const Query& query, const History& history,
           const RelativeModel& model, const Parts<D>& parts)
-      : bounds_(query, history, model, parts.recent),
+      : bounds_(query, history, model, *parts.recent, parts.axes),
         inputs_{query,
                 history,
                 model,
-                parts.recent,
+                *parts.recent,
+                parts.axes,
                 bounds_,
                 parts.headings && TakesHeadings(model, history)
                     ? &*parts.headings
                     : nullptr,
                 &parts.poses},
-        progress_(history.size) {
+        progress_(history.first, history.end) {
     const auto search_in = [this](Direction direction) {
       searches_[IndexOf(direction)] =
           std::make_unique<DirectionSearch<D>>(inputs_, direction);
@@ -135,9 +153,9 @@ std::optional<RelativeAlignment> AlignIn(const Query& query,
   return RelativeAlignment(aligner.HandOver(), aligner.considered(),
                            [history, parts, over_loops = model.over_loops](
                                Direction direction, NodeIndex j) {
-                             return PathWalk<D>(history, parts->recent,
-                                                direction, over_loops,
-                                                &parts->poses)
+                             return PathWalk<D>(history, *parts->recent,
+                                                parts->axes, direction,
+                                                over_loops, &parts->poses)
                                  .Trace(j);
                            });
 }

@@ -67,8 +67,10 @@
 namespace revisit::core {
 
 // Keeps the parts that all alignments of one query with one history share, so
-// that the second alignment need not find them anew. Starts empty.
+// that the second alignment need not find them anew. Starts empty; the path may
+// come from an alignment of the same query with another history.
 struct AlignmentParts {
+  std::shared_ptr<const void> path;
   std::shared_ptr<const void> parts;
 };
 

@@ -15,4 +15,10 @@ double LogNewPlaceTerm(const RelativeModel& model) {
   return -0.5 * dimensions * std::log(2.0 * kPi) - std::log(density);
 }
 
+// 2 / B metres of road per square metre, each driven both ways.
+double LogWorldNodes(const RelativeModel& model) {
+  return std::log(4.0 * kWorldSquareMeters /
+                  (model.road_spacing_meters * model.spacing_meters));
+}
+
 }  // namespace revisit::core

@@ -13,6 +13,7 @@
 #include "core/drive/node_range.h"
 #include "core/noise/similarity_model.h"
 #include "core/search/alignment/log_similarity.h"
+#include "core/search/alignment/relation.h"
 #include "core/search/alignment/scored_ends.h"
 #include "core/search/alignment/shape_filter.h"
 
@@ -40,15 +41,6 @@ struct WeighedScale {
   double log_weight = 0.0;
 };
 
-// A place that the vehicle has probably passed before, and so a drift that is
-// probable. Ends outside `reach` are compared as if it were not known: between
-// passes far from the two nodes the drift is another.
-struct WeighedDrift {
-  ConfirmedLoop loop;
-  NodeRange reach;
-  double log_weight = 0.0;
-};
-
 struct RelativeModel {
   // How the two end poses are compared (the anchor). Direction and form are
   // ignored.
@@ -56,7 +48,9 @@ struct RelativeModel {
   // The anchor is a mixture: of these scales, none being 1 alone, and of the
   // drift as claimed, with the weight that these drifts leave, and as each of
   // them shows it; none unless NoiseModel::lets_belief_begin. Weights of scales
-  // sum to 1, those of drifts to less than 1.
+  // sum to 1, those of drifts to less than 1. Drifts, and the last closure, are
+  // those of the query's own recording, and do not count in others: what is
+  // known there, their relation says.
   std::vector<WeighedScale> scales;
   std::vector<WeighedDrift> drifts;
   ShapeModel shape;
@@ -94,6 +88,10 @@ struct RelativeModel {
 //
 // SPATIAL: spread evenly over kRoadHeightRange.
 double LogNewPlaceTerm(const RelativeModel& model);
+
+// The logarithm of how many nodes the world may hold: those of roads of this
+// spacing on kWorldSquareMeters.
+double LogWorldNodes(const RelativeModel& model);
 
 }  // namespace revisit::core
 

@@ -12,6 +12,7 @@
 #include "core/drive/pose_graph.h"
 #include "core/geometry/state_matrix.h"
 #include "core/search/alignment/history.h"
+#include "core/search/alignment/path_axes.h"
 #include "core/search/alignment/query.h"
 #include "core/search/alignment/recent_path.h"
 #include "core/search/alignment/relative_model.h"
@@ -28,6 +29,9 @@ inline constexpr double kBoundSlack = 1e-6;
 inline constexpr std::size_t kLeastStride = 16;
 inline constexpr std::size_t kEnoughSamples = 16384;
 
+// The stride in a history of so many nodes.
+std::size_t StrideOf(NodeIndex nodes);
+
 // A bound is for the log-odds of one end, or for those of all ends within half
 // a stride of it, as far as errors there are about the same.
 enum class BoundOf { kEnd, kEndsAround };
@@ -35,9 +39,11 @@ enum class BoundOf { kEnd, kEndsAround };
 template <int D>
 class SearchBounds {
  public:
-  // All must outlive this. The recent path is that of the query.
+  // All must outlive this. The recent path is that of the query, in the axes of
+  // the history.
   SearchBounds(const Query& query, const History& history,
-               const RelativeModel& model, const RecentPath<D>& recent);
+               const RelativeModel& model, const RecentPath<D>& recent,
+               const PathAxes<D>& axes);
 
   // The part of the log-odds that is the same for all ends.
   double constant() const { return constant_; }
@@ -61,34 +67,60 @@ class SearchBounds {
   // For each end, the most that its log-odds can come to, but for what its path
   // gains. Infinity where nothing is known; undefined where the similarity is
   // impossible. `similarity` is what EvaluateDifferences() finds; `unshifted`
-  // what BoundChanged() tells of it, for ends by themselves.
-  void BoundEnds(const DifferenceBlock& differences,
-                 const BlockSimilarity& similarity, BoundOf of,
-                 BlockColumn* most, BlockColumn* unshifted) const;
+  // what BoundChanged() tells of it, for ends by themselves. `change`: what
+  // paths can change, of these, in the axes of the differences.
+  void BoundEnds(const ChangeBound& change, BoundOf of,
+                 const DifferenceBlock& differences,
+                 const BlockSimilarity& similarity, BlockColumn* most,
+                 BlockColumn* unshifted) const;
+  // The same where no difference counts.
+  void BoundAnywhere(const BlockSimilarity& similarity, BlockColumn* most,
+                     BlockColumn* unshifted) const;
 
  private:
-  // Where ends of one scale may lie, in the history's frame.
+  // Where ends of one part of the mixture may lie, in the history's frame. It
+  // is for blocks [first, last).
   struct Region {
+    std::size_t first = 0;
+    std::size_t last = 0;
     BlockBounds::Region of_blocks;
     NodeRegion of_nodes;
   };
+  // The covariance that counts between a node and the query along the line
+  // between the two: a part of the query, and S_j times a scale.
+  struct Along {
+    double xx = 0.0;
+    double xy = 0.0;
+    double yy = 0.0;
+    double node_scale = 0.0;
+  };
   // Blocks [first, last) may be ruled out by where they and their nodes lie:
-  // outside the regions of all scales.
+  // outside all regions. Of these, the blocks `always` may not.
   struct Regions {
     std::size_t first = 0;
     std::size_t last = 0;
-    std::vector<Region> of_scales;
+    std::vector<std::size_t> always;
+    std::vector<Region> regions;
   };
 
   std::optional<Regions> FindRegions() const;
-  Region RegionOf(const WeighedScale& scale, double position_variance,
-                  double log_determinant) const;
+  void AddOwnRegions(double position_variance, double log_determinant,
+                     Regions* regions) const;
+  void AddTiedRegions(double position_variance, double log_determinant,
+                      Regions* regions) const;
+  bool ErrorsGrow(Regions* regions) const;
+  // `log_weight`: that of the part, of so many.
+  Region RegionOf(const Along& along, double log_weight, std::size_t parts,
+                  double position_variance, double log_determinant) const;
   bool SamplesEnds() const;
   void AddNear(const Regions& regions, std::vector<std::size_t>* blocks) const;
   std::optional<double> LeastLogDeterminant(
       const StateMatrix<D>& tolerance) const;
+  // Blocks [FirstBlock(), BlocksBefore()) are full of nodes of the history,
+  // well before the query.
+  std::size_t FirstBlock() const { return BlocksOf(history_.first); }
   std::size_t BlocksBefore() const {
-    return history_.relation.BlocksBefore(query_, history_.size);
+    return history_.relation.BlocksBefore(query_, history_.end);
   }
   void SortByDistance(std::vector<std::size_t>* blocks) const;
 
@@ -96,11 +128,9 @@ class SearchBounds {
   const History& history_;
   const RelativeModel& model_;
   const RecentPath<D>& recent_;
+  const PathAxes<D>& axes_;
   const double constant_;
   const std::size_t stride_;
-  ChangeBound change_bound_;
-  // The same for ends around one.
-  ChangeBound around_bound_;
 };
 
 }  // namespace revisit::core

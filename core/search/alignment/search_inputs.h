@@ -4,6 +4,7 @@
 
 #include "core/search/alignment/heading_match.h"
 #include "core/search/alignment/history.h"
+#include "core/search/alignment/path_axes.h"
 #include "core/search/alignment/pose_table.h"
 #include "core/search/alignment/query.h"
 #include "core/search/alignment/recent_path.h"
@@ -18,8 +19,9 @@ struct SearchInputs {
   const Query& query;
   const History& history;
   const RelativeModel& model;
-  // The poses of the query's path.
+  // The poses of the query's path, and the path as the history sees it.
   const RecentPath<D>& recent;
+  const PathAxes<D>& axes;
   const SearchBounds<D>& bounds;
   // Null where ends are not sampled.
   const HeadingMatch* headings;

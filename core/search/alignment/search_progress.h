@@ -23,8 +23,9 @@ inline std::size_t PlaceInBlock(NodeIndex i) {
 
 class SearchProgress {
  public:
-  explicit SearchProgress(NodeIndex history_size)
-      : considered_(BlocksOf(history_size)) {}
+  // The history has the nodes [first, end).
+  SearchProgress(NodeIndex first, NodeIndex end)
+      : first_(first), considered_(BlocksOf(end)) {}
 
   // The greatest log-odds that were found, or those of a new place.
   double greatest() const { return greatest_; }
@@ -34,7 +35,10 @@ class SearchProgress {
 
   // Counts a node as considered: walked from, counted by another that stands
   // for it, not sought, or ill-conditioned.
-  void Consider(NodeIndex i) { considered_[BlockOf(i)].set(PlaceInBlock(i)); }
+  // Nodes before the history do not count.
+  void Consider(NodeIndex i) {
+    if (i >= first_) considered_[BlockOf(i)].set(PlaceInBlock(i));
+  }
   NodeIndex considered() const {
     NodeIndex count = 0;
     for (const BlockNodes& block : considered_) {
@@ -44,6 +48,7 @@ class SearchProgress {
   }
 
  private:
+  NodeIndex first_;
   double greatest_ = 0.0;
   std::vector<BlockNodes> considered_;
 };

@@ -105,8 +105,8 @@ HWY_INLINE std::size_t EntriesOf(const NodeBlock& block) {
 }
 
 // How Gamma is made (DifferenceForm), where it is a sum in whole or in a share
-// that differs from node to node.
-enum class Form { kGrown, kSummed, kSharesSummed };
+// that differs from node to node, or over two frames (TiedTerms).
+enum class Form { kGrown, kSummed, kSharesSummed, kTied };
 
 // The differences of the nodes from i on, and their covariances: Gamma,
 // inflated, plus R.
@@ -121,7 +121,8 @@ HWY_INLINE State<D> FindState(const KernelQuery& query, const Rows& rows,
   const auto load_z = [&rows, i](NodeBlock::Row row)
                           HWY_ATTR { return rows.LoadZ(row, i); };
   constexpr bool kIsGrown = kForm == Form::kGrown;
-  const Vector scale = set(query.variance_scale);
+  constexpr bool kIsTied = kForm == Form::kTied;
+  const Vector scale = set(kIsTied ? 1.0 : query.variance_scale);
   const Vector position_variance = set(query.position_variance);
   State<D> state;
   const Vector dx = hn::Sub(set(query.pose.x), load(NodeBlock::kX));
@@ -139,6 +140,9 @@ HWY_INLINE State<D> FindState(const KernelQuery& query, const Rows& rows,
     if constexpr (kForm == Form::kSharesSummed) {
       return hn::Mul(hn::Load(tag, shares->data() + i), hn::Add(mine, node));
     }
+    if constexpr (kIsTied) {
+      return hn::Add(mine, hn::Mul(set(query.tied->node_scale), node));
+    }
     return kIsGrown ? hn::Sub(mine, node) : hn::Add(mine, node);
   };
   const Vector node_xh = load(NodeBlock::kXH);
@@ -149,9 +153,27 @@ HWY_INLINE State<D> FindState(const KernelQuery& query, const Rows& rows,
   Vector yy = base(1, 1, load(NodeBlock::kYY));
   Vector hx = base(0, 3, node_xh);
   Vector hy = base(1, 3, node_yh);
-  const Vector hh = base(3, 3, node_hh);
+  Vector hh = base(3, 3, node_hh);
   const Vector lever_x = hn::Neg(dy);
   const Vector lever_y = dx;
+  if constexpr (kIsTied) {
+    // L M L^T, with the lever arm J (p_j - p).
+    const auto m = [&](int r, int c)
+                       HWY_ATTR { return set(query.tied->swung[r][c]); };
+    const Vector arm_x = hn::Sub(set(query.tied->y), load(NodeBlock::kY));
+    const Vector arm_y = hn::Sub(load(NodeBlock::kX), set(query.tied->x));
+    const Vector swung_xh = hn::Add(m(0, h), hn::Mul(arm_x, m(h, h)));
+    const Vector swung_yh = hn::Add(m(1, h), hn::Mul(arm_y, m(h, h)));
+    const Vector both_x = hn::Add(swung_xh, m(0, h));
+    const Vector both_y = hn::Add(swung_yh, m(1, h));
+    xx = hn::Add(xx, hn::Add(m(0, 0), hn::Mul(arm_x, both_x)));
+    yy = hn::Add(yy, hn::Add(m(1, 1), hn::Mul(arm_y, both_y)));
+    yx = hn::Add(yx, hn::Add(m(0, 1), hn::Add(hn::Mul(arm_y, swung_xh),
+                                              hn::Mul(arm_x, m(1, h)))));
+    hx = hn::Add(hx, swung_xh);
+    hy = hn::Add(hy, swung_yh);
+    hh = hn::Add(hh, m(h, h));
+  }
   if constexpr (kIsGrown) {
     const Vector xx_carried = hn::Mul(lever_x, node_xh);
     const Vector yy_carried = hn::Mul(lever_y, node_yh);
@@ -173,11 +195,21 @@ HWY_INLINE State<D> FindState(const KernelQuery& query, const Rows& rows,
     const Vector node_zh = load_z(NodeBlock::kZH);
     Vector zx = base(0, 2, load_z(NodeBlock::kXZ));
     Vector zy = base(1, 2, load_z(NodeBlock::kYZ));
-    const Vector zz = base(2, 2, load_z(NodeBlock::kZZ));
-    const Vector hz = base(2, 3, node_zh);
+    Vector zz = base(2, 2, load_z(NodeBlock::kZZ));
+    Vector hz = base(2, 3, node_zh);
     if constexpr (kIsGrown) {
       zx = hn::Sub(zx, hn::Mul(lever_x, node_zh));
       zy = hn::Sub(zy, hn::Mul(lever_y, node_zh));
+    }
+    if constexpr (kIsTied) {
+      const auto m = [&](int r, int c)
+                         HWY_ATTR { return set(query.tied->swung[r][c]); };
+      const Vector arm_x = hn::Sub(set(query.tied->y), load(NodeBlock::kY));
+      const Vector arm_y = hn::Sub(load(NodeBlock::kX), set(query.tied->x));
+      zx = hn::Add(zx, hn::Add(m(2, 0), hn::Mul(arm_x, m(2, h))));
+      zy = hn::Add(zy, hn::Add(m(2, 1), hn::Mul(arm_y, m(2, h))));
+      zz = hn::Add(zz, m(2, 2));
+      hz = hn::Add(hz, m(2, h));
     }
     state.difference[2] = hn::Sub(set(query.pose.z), load_z(NodeBlock::kZ));
     state.covariance[2][0] = hn::Mul(scale, zx);
@@ -372,7 +404,9 @@ HWY_INLINE void FindDifferencesIn(const KernelQuery& query,
                                   const NodeBlock& block, const NodeBlock& next,
                                   const BlockShares* shares,
                                   DifferenceBlock* differences) {
-  if (query.form == DifferenceForm::kGrown) {
+  if (query.tied != nullptr) {
+    FindAll<D, Form::kTied>(query, block, next, shares, differences);
+  } else if (query.form == DifferenceForm::kGrown) {
     FindAll<D, Form::kGrown>(query, block, next, shares, differences);
   } else if (shares == nullptr) {
     FindAll<D, Form::kSummed>(query, block, next, shares, differences);

@@ -20,6 +20,16 @@
 
 namespace revisit::core {
 
+// How Gamma of nodes in another frame depends on each of them
+// (frame_relation.h): node_scale S_j + L_j M L_j^T, with the entries of M in
+// the order of the state, and L the identity at this place.
+struct TiedTerms {
+  double node_scale = 1.0;
+  double x = 0.0;
+  double y = 0.0;
+  double swung[4][4] = {};
+};
+
 // The query that all nodes are compared with, and how.
 struct KernelQuery {
   // Heading in (-pi, pi].
@@ -37,6 +47,10 @@ struct KernelQuery {
   double heading_variance = 0.0;
   // c, the factor of d^T Gamma^-1 d.
   double exponent = 0.5;
+  // For nodes in another frame, or null; of FindDifferences() only. There the
+  // covariance is C, all that Gamma has beside these terms, and neither form
+  // nor variance_scale counts.
+  const TiedTerms* tied = nullptr;
 };
 
 // One entry per node of a block.

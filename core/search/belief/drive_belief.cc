@@ -68,29 +68,38 @@ void DriveBelief::LearnScale(const MarkEvidence& mark, std::int64_t stride) {
   }
 }
 
-void DriveBelief::LearnDrift(const PoseGraph& graph, const MarkEvidence& mark,
-                             double reach_meters) {
+void DriveBelief::LearnDrift(const PoseGraph& graph,
+                             const Recordings& recordings,
+                             const MarkEvidence& mark, double reach_meters) {
   if (!mark.matched) return;
   const double probability =
       std::exp(LogSum(Sum(log_density_, mark.log_matched_odds)) -
-               LogSum(Sum(log_density_, mark.log_evidence)));
+               LogSum(Sum(log_density_, mark.log_all_evidence)));
   if (!(probability >= kLeastDriftProbability)) return;
   const double shown = std::min(probability, kMostDriftProbability);
-  for (WeighedDrift& earlier : drifts_) {
+  const std::size_t recording = recordings.Of(*mark.matched);
+  std::vector<WeighedDrift>& drifts = drifts_[recording];
+  for (WeighedDrift& earlier : drifts) {
     earlier.log_weight += std::log1p(-shown);
   }
   WeighedDrift drift;
   drift.loop = {mark.node, *mark.matched, nullptr};
   drift.log_weight = std::log(shown);
-  drift.reach = NodesNearer(graph, *mark.matched, reach_meters);
-  drifts_.push_back(drift);
-  if (drifts_.size() > kMostDrifts) {
-    drifts_.erase(
-        std::min_element(drifts_.begin(), drifts_.end(),
+  drift.reach = Common(NodesNearer(graph, *mark.matched, reach_meters),
+                       recordings.NodesOf(recording, graph.size()));
+  drifts.push_back(drift);
+  if (drifts.size() > kMostDrifts) {
+    drifts.erase(
+        std::min_element(drifts.begin(), drifts.end(),
                          [](const WeighedDrift& a, const WeighedDrift& b) {
                            return a.log_weight < b.log_weight;
                          }));
   }
+}
+
+std::vector<WeighedDrift> DriveBelief::drifts(std::size_t recording) const {
+  const auto found = drifts_.find(recording);
+  return found == drifts_.end() ? std::vector<WeighedDrift>() : found->second;
 }
 
 ByScale DriveBelief::Weights() const {

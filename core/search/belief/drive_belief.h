@@ -20,11 +20,14 @@
 #ifndef REVISIT_CORE_SEARCH_BELIEF_DRIVE_BELIEF_H_
 #define REVISIT_CORE_SEARCH_BELIEF_DRIVE_BELIEF_H_
 
+#include <cstddef>
 #include <cstdint>
+#include <map>
 #include <vector>
 
 #include "core/drive/dropped_stretch.h"
 #include "core/drive/pose_graph.h"
+#include "core/drive/recordings.h"
 #include "core/search/alignment/relative_model.h"
 #include "core/search/belief/mark.h"
 #include "core/search/belief/scale_estimate.h"
@@ -79,16 +82,18 @@ class DriveBelief {
 
   // Learns the scale from a mark; marks that are asked for lie `stride` apart.
   void LearnScale(const MarkEvidence& mark, std::int64_t stride);
-  // Learns the drift from a mark, whose place counts for ends within
-  // `reach_meters` of it along the path. REQUIRES: marks come in their order,
-  // after all scales were learned.
-  void LearnDrift(const PoseGraph& graph, const MarkEvidence& mark,
-                  double reach_meters);
+  // Learns the drift from a mark, whose place counts for ends of its recording
+  // within `reach_meters` of it along the path. Where that is not the mark's
+  // own recording, it shows how the frames of the two lie. REQUIRES: marks of
+  // one recording come in their order, after all scales were learned.
+  void LearnDrift(const PoseGraph& graph, const Recordings& recordings,
+                  const MarkEvidence& mark, double reach_meters);
 
-  // The scales that are not too improbable, all of them, and the drifts.
+  // The scales that are not too improbable, all of them, and the drifts that
+  // are shown by places of one recording.
   std::vector<WeighedScale> Scales() const;
   std::vector<WeighedScale> AllScales() const;
-  const std::vector<WeighedDrift>& drifts() const { return drifts_; }
+  std::vector<WeighedDrift> drifts(std::size_t recording) const;
 
   // exp of the mean of ln f; the bounds are as coarse as the steps are.
   ScaleEstimate Scale() const;
@@ -97,7 +102,8 @@ class DriveBelief {
   ByScale Weights() const;
 
   ByScale log_density_;
-  std::vector<WeighedDrift> drifts_;
+  // By recording.
+  std::map<std::size_t, std::vector<WeighedDrift>> drifts_;
 };
 
 }  // namespace revisit::core

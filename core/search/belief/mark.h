@@ -30,8 +30,10 @@ using ByScale = std::array<double, kScales>;
 
 struct MarkEvidence {
   NodeIndex node = 0;
-  // ln(1 + odds of all places against a new place).
+  // ln(1 + odds of all places against a new place): of the mark's own
+  // recording, which shows the scale, and of all recordings.
   ByScale log_evidence = {};
+  ByScale log_all_evidence = {};
   // The most probable place, if any, and ln of the odds of the nodes within
   // kMatchRadiusMeters of it.
   std::optional<NodeIndex> matched;
@@ -43,7 +45,7 @@ inline constexpr double kMatchRadiusMeters = 20.0;
 // The evidence of marks that were searched, by number. It is worth keeping
 // between the searches of one graph: a search needs that of some tens of marks,
 // most of which the search before has needed too. Forgets it where settings
-// changed that marks depend on. Takes some 200 bytes a mark. Not thread-safe.
+// changed that marks depend on. Takes some 260 bytes a mark. Not thread-safe.
 class MarkMemory {
  public:
   // Forgets all evidence that was found under other settings than these. Their

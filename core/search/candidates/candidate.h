@@ -9,6 +9,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/drive/frame_state.h"
 #include "core/drive/node_index.h"
 #include "core/noise/comparison.h"
 #include "core/search/belief/scale_estimate.h"
@@ -25,12 +26,14 @@ struct Candidate {
   // node, less a constant. Relative: log-odds of the matched node against all
   // places not seen before.
   double score = 0.0;
-  // The matched node, and the index of its history among those searched.
-  std::size_t history = 0;
+  // The matched node, and how its frame is tied to that of the query.
   NodeIndex matched = 0;
+  FrameState frame_state = FrameState::kSame;
   Direction direction = Direction::kSame;
   Verdict verdict = Verdict::kIllConditioned;
-  GatedDifference difference;
+  // In the query's frame. Nothing where nothing tells how the frames lie to
+  // each other.
+  std::optional<GatedDifference> difference;
   // The factor by which the claimed standard deviations were multiplied for the
   // difference and its gate.
   double inflation = 1.0;

@@ -23,8 +23,8 @@ Candidate MakeCandidate(const SearchTask& task, const SimilarityModel& model,
   candidate.direction = model.direction;
   candidate.inflation = model.inflation;
   candidate.difference =
-      DecideAt(task.query, task.histories.front(), model, gate, end.matched);
-  candidate.verdict = GateAlone(candidate.difference.gate.verdict);
+      DecideAt(task.query, task.histories.front(), model, gate, end.matched, 0);
+  candidate.verdict = GateAlone(candidate.difference->gate.verdict);
   if (task.options.tell_paths) {
     NodeIndex recent = task.query.node - task.query.steps + 1;
     for (const NodeIndex matched : alignment.Path(end.matched)) {
@@ -47,10 +47,11 @@ absl::Status SearchComposite(const SearchTask& task, CandidateSet* set) {
     SimilarityModel model = similarity;
     model.direction = direction;
     const std::optional<Alignment> alignment =
-        Align(query.graph, model, query.node, query.steps, past.size,
+        Align(query.graph, model, query.node, query.steps, past.end,
               task.should_stop);
     if (!alignment) return StoppedError();
     ScoredEnds ends = PossibleEnds(alignment->scores());
+    StrikeOut({0, past.first}, &ends);
     for (const NodeRange& nodes : past.not_sought) StrikeOut(nodes, &ends);
     for (const RankedEnd& end :
          RankEnds(query.graph, ends, options.candidate_separation_meters,

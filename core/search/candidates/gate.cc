@@ -4,7 +4,9 @@
 #include <cassert>
 #include <optional>
 
+#include "core/drive/frame_relation.h"
 #include "core/drive/node_noise.h"
+#include "core/geometry/frame_transform.h"
 #include "core/geometry/quadratic_form.h"
 #include "core/geometry/state_matrix.h"
 #include "core/noise/chi_squared.h"
@@ -12,22 +14,73 @@
 namespace revisit::core {
 namespace {
 
+// `gamma` is inflated.
 template <int D>
-GatedDifference DecideIn(const Query& query, const History& history,
-                         const SimilarityModel& model, const Gate& gate,
-                         NodeIndex matched) {
+GatedDifference DecideOn(const Pose& difference, const StateMatrix<D>& gamma,
+                         const StateMatrix<D>& tolerated, const Gate& gate) {
   GatedDifference result;
-  result.difference = history.relation.Difference(
-      model, query.graph.pose(query.node), history.graph.pose(matched));
-  const StateMatrix<D> gamma =
-      history.relation.CovarianceOf<D>(query, model.correlation, matched);
-  result.covariance =
-      ToCovariance<D>((model.inflation * model.inflation) * gamma);
-  const std::optional<QuadraticForm> terms = Evaluate<D>(
-      ToleratedCovariance<D>(model, gamma), ToVector<D>(result.difference));
+  result.difference = difference;
+  result.covariance = ToCovariance<D>(gamma);
+  const std::optional<QuadraticForm> terms =
+      Evaluate<D>(tolerated, ToVector<D>(difference));
   result.gate =
       terms ? gate.Decide(terms->squared_mahalanobis) : gate.IllConditioned();
   return result;
+}
+
+template <int D>
+GatedDifference DecideInPast(const Query& query, const History& history,
+                             const SimilarityModel& model, const Gate& gate,
+                             NodeIndex matched) {
+  const StateMatrix<D> gamma =
+      history.relation.CovarianceOf<D>(query, model.correlation, matched);
+  return DecideOn<D>(
+      history.relation.Difference(model, query.graph.pose(query.node),
+                                  history.graph.pose(matched)),
+      (model.inflation * model.inflation) * gamma,
+      ToleratedCovariance<D>(model, gamma), gate);
+}
+
+template <int D>
+GatedDifference DecideAcross(const Query& query, const History& history,
+                             const SimilarityModel& model, const Gate& gate,
+                             NodeIndex matched, const FrameRelation& tie,
+                             double fixed_scale) {
+  const FramePair<D> pair(history.relation.nodes(), tie, query.node,
+                          model.inflation, fixed_scale);
+  const Pose pose = history.graph.pose(matched);
+  const StateMatrix<D> turn = TurnAbout<D>(tie.transform.heading);
+  const StateMatrix<D> gamma =
+      turn *
+      pair.Covariance(matched, pose,
+                      ToMatrix<D>(history.graph.covariance(matched))) *
+      turn.transpose();
+  StateMatrix<D> tolerated = gamma;
+  AddTolerance<D>(model.tolerance, &tolerated);
+  return DecideOn<D>(PassDifference(model, query.graph.pose(query.node),
+                                    Compose(tie.transform, pose)),
+                     gamma, tolerated, gate);
+}
+
+template <int D>
+std::optional<GatedDifference> DecideIn(const Query& query,
+                                        const History& history,
+                                        const SimilarityModel& model,
+                                        const Gate& gate, NodeIndex matched,
+                                        std::size_t way) {
+  const Relation& relation = history.relation;
+  if (relation.is_own()) {
+    return DecideInPast<D>(query, history, model, gate, matched);
+  }
+  const std::size_t ways = relation.ways().size();
+  if (way >= ways) {
+    return DecideAcross<D>(
+        query, history, model, gate, matched,
+        relation.Shown(relation.drifts()[way - ways], model.inflation), 1.0);
+  }
+  if (relation.ways()[way].is_unknown) return std::nullopt;
+  return DecideAcross<D>(query, history, model, gate, matched, relation.tie(),
+                         relation.ways()[way].fixed_scale);
 }
 
 GateResult Compare(double squared_mahalanobis, double degrees_of_freedom,
@@ -67,12 +120,14 @@ GateResult Gate::IllConditioned() const {
   return result;
 }
 
-GatedDifference DecideAt(const Query& query, const History& history,
-                         const SimilarityModel& model, const Gate& gate,
-                         NodeIndex matched) {
+std::optional<GatedDifference> DecideAt(const Query& query,
+                                        const History& history,
+                                        const SimilarityModel& model,
+                                        const Gate& gate, NodeIndex matched,
+                                        std::size_t way) {
   return model.state_space == StateSpace::kPlanar
-             ? DecideIn<3>(query, history, model, gate, matched)
-             : DecideIn<4>(query, history, model, gate, matched);
+             ? DecideIn<3>(query, history, model, gate, matched, way)
+             : DecideIn<4>(query, history, model, gate, matched, way);
 }
 
 }  // namespace revisit::core

@@ -3,6 +3,9 @@
 #ifndef REVISIT_CORE_SEARCH_CANDIDATES_GATE_H_
 #define REVISIT_CORE_SEARCH_CANDIDATES_GATE_H_
 
+#include <cstddef>
+#include <optional>
+
 #include "core/drive/pose_graph.h"
 #include "core/geometry/pose.h"
 #include "core/noise/similarity_model.h"
@@ -36,10 +39,14 @@ class Gate {
   double threshold_;
 };
 
-// `matched` is a node of the history's graph.
-GatedDifference DecideAt(const Query& query, const History& history,
-                         const SimilarityModel& model, const Gate& gate,
-                         NodeIndex matched);
+// The difference in the axes of the asking drive, and its gate. `matched` is a
+// node of the history's graph. In another recording, its frame lies in this way
+// (ShapeMatch::way); nothing where that is the unknown one.
+std::optional<GatedDifference> DecideAt(const Query& query,
+                                        const History& history,
+                                        const SimilarityModel& model,
+                                        const Gate& gate, NodeIndex matched,
+                                        std::size_t way);
 
 }  // namespace revisit::core
 

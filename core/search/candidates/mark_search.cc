@@ -1,7 +1,6 @@
 #include "core/search/candidates/mark_search.h"
 
 #include <algorithm>
-#include <cassert>
 #include <cmath>
 #include <cstddef>
 #include <optional>
@@ -41,6 +40,7 @@ class OddsByScale {
 struct DirectedEnd {
   Direction direction = Direction::kSame;
   NodeIndex node = 0;
+  double score = 0.0;
 };
 
 // The most probable end, if any is possible; of equal ones, the first.
@@ -52,7 +52,7 @@ std::optional<DirectedEnd> MostProbable(const RelativeAlignment& alignment,
     for (const ScoredEnd& end : alignment.ends(direction)) {
       if (!(end.score > best)) continue;
       best = end.score;
-      most_probable = {direction, end.node};
+      most_probable = {direction, end.node, end.score};
     }
   }
   return most_probable;
@@ -71,34 +71,43 @@ void AddOdds(const RelativeAlignment& alignment, Direction direction,
 }  // namespace
 
 absl::StatusOr<MarkEvidence> SearchMark(const SearchTask& task) {
-  assert(task.histories.size() == 1);
   RelativeModel model = ModelOf(task, kPrunedMarkShare);
   model.last_confirmed.reset();
   model.over_loops = false;
   model.scales = DriveBelief().AllScales();
   model.tell_scales = true;
-  const History& past = task.histories.front();
-  const std::optional<RelativeAlignment> alignment =
-      AlignRelative(task.query, past, model, task.should_stop,
-                    task.parts == nullptr ? nullptr : &task.parts->front());
-  if (!alignment) return StoppedError();
   MarkEvidence evidence;
   evidence.node = task.query.node;
+  OddsByScale own;
   OddsByScale all;
-  for (const Direction direction : Directions(task.options.direction)) {
-    AddOdds(*alignment, direction, 0, alignment->ends(direction).size(), &all);
-  }
   OddsByScale near;
-  if (const auto best = MostProbable(*alignment, task.options.direction)) {
-    evidence.matched = best->node;
-    const EndsAround around = FindEndsAround(
-        alignment->ends(best->direction), best->node, [&](NodeIndex i) {
-          return past.graph.MetersApart(i, best->node) <= kMatchRadiusMeters;
-        });
-    AddOdds(*alignment, best->direction, around.first, around.last, &near);
-  }
+  double best = kImpossible;
+  const bool finished = VisitAlignments(
+      task, model, ModelAcross(model),
+      [&](const History& history, const RelativeAlignment& alignment) {
+        for (const Direction direction : Directions(task.options.direction)) {
+          const std::size_t ends = alignment.ends(direction).size();
+          AddOdds(alignment, direction, 0, ends, &all);
+          if (history.relation.is_own()) {
+            AddOdds(alignment, direction, 0, ends, &own);
+          }
+        }
+        const auto end = MostProbable(alignment, task.options.direction);
+        if (!end || !(end->score > best)) return;
+        best = end->score;
+        evidence.matched = end->node;
+        const EndsAround around = FindEndsAround(
+            alignment.ends(end->direction), end->node, [&](NodeIndex i) {
+              return history.graph.MetersApart(i, end->node) <=
+                     kMatchRadiusMeters;
+            });
+        near = OddsByScale();
+        AddOdds(alignment, end->direction, around.first, around.last, &near);
+      });
+  if (!finished) return StoppedError();
   for (std::size_t k = 0; k < kScales; ++k) {
-    evidence.log_evidence[k] = LogAdd(0.0, all[k]);
+    evidence.log_evidence[k] = LogAdd(0.0, own[k]);
+    evidence.log_all_evidence[k] = LogAdd(0.0, all[k]);
     evidence.log_matched_odds[k] = near[k];
   }
   return evidence;

@@ -39,7 +39,8 @@ class RelativeSearch {
         pruned_share_(prune ? std::min(kPrunedShare,
                                        1e-3 * options_.acceptance_probability)
                             : 0.0),
-        model_(ModelOf(task, pruned_share_)) {}
+        model_(ModelOf(task, pruned_share_)),
+        across_(ModelAcross(model_)) {}
 
   absl::Status Run(CandidateSet* set) {
     if (!Align()) return StoppedError();
@@ -58,7 +59,8 @@ class RelativeSearch {
       places = Rank(most);
       new_place = Claim(&places);
     }
-    const Rivals rivals(task_.histories, model_, std::move(places),
+    const Rivals rivals(task_.histories, task_.frames.get(), model_,
+                        std::move(places),
                         static_cast<std::size_t>(options_.max_candidates));
     set->new_place_probability = new_place;
     set->candidates = Judge(rivals, new_place);
@@ -80,15 +82,10 @@ class RelativeSearch {
   // Aligns the query with one history after the other; alignments do not depend
   // on each other. False if told to stop.
   bool Align() {
-    alignments_.reserve(task_.histories.size());
-    for (std::size_t h = 0; h < task_.histories.size(); ++h) {
-      std::optional<RelativeAlignment> alignment = AlignRelative(
-          task_.query, task_.histories[h], model_, task_.should_stop,
-          task_.parts == nullptr ? nullptr : &(*task_.parts)[h]);
-      if (!alignment) return false;
-      alignments_.push_back(*std::move(alignment));
-    }
-    return true;
+    return VisitAlignments(task_, model_, across_,
+                           [this](const History&, RelativeAlignment found) {
+                             alignments_.push_back(std::move(found));
+                           });
   }
 
   const ShapeMatch& MatchOf(const RankedPlace& place) const {
@@ -172,29 +169,33 @@ class RelativeSearch {
     similarity.inflation *= MatchOf(place).scale;
     Candidate candidate;
     candidate.score = place.end.score;
-    candidate.history = place.history;
     candidate.matched = place.end.matched;
+    const Relation& relation = HistoryOf(place).relation;
+    if (!relation.is_own()) candidate.frame_state = relation.state();
     candidate.direction = place.direction;
     candidate.inflation = similarity.inflation;
-    candidate.difference = DecideAt(task_.query, HistoryOf(place), similarity,
-                                    gate, place.end.matched);
+    candidate.difference =
+        DecideAt(task_.query, HistoryOf(place), similarity, gate,
+                 place.end.matched, MatchOf(place).way);
     const double runner_up = rivals.RunnerUp(i);
-    RelativeEvidence evidence = EvidenceOf(gate, place);
+    RelativeEvidence evidence =
+        EvidenceOf(gate, place, candidate.difference.has_value());
     evidence.probability = rivals.Probability(i);
     if (runner_up > 0.0) {
       evidence.odds_to_runner_up = evidence.probability / runner_up;
     }
-    candidate.verdict =
-        Decide(candidate.difference.gate, evidence, {runner_up, new_place},
-               options_.acceptance_probability);
+    candidate.verdict = Decide(
+        candidate.difference ? &candidate.difference->gate : nullptr, evidence,
+        {runner_up, new_place}, options_.acceptance_probability);
     candidate.relative = evidence;
     if (options_.tell_paths) candidate.path = PathOf(place);
     return candidate;
   }
 
-  // The evidence that the alignment alone has for a place.
-  RelativeEvidence EvidenceOf(const Gate& gate,
-                              const RankedPlace& place) const {
+  // The evidence that the alignment alone has for a place. Where the difference
+  // at the end is not known, the shape alone is tested.
+  RelativeEvidence EvidenceOf(const Gate& gate, const RankedPlace& place,
+                              bool has_difference) const {
     const ShapeMatch& match = MatchOf(place);
     const PoseGraph& graph = HistoryOf(place).graph;
     const double weight = ShapeWeight(model_.shape, model_.spacing_meters);
@@ -202,7 +203,10 @@ class RelativeSearch {
     RelativeEvidence evidence;
     evidence.path_gate = gate.DecidePath(
         match.squared_end_difference + weight * match.squared_innovations,
-        dimensions * (1.0 + weight * static_cast<double>(match.steps)));
+        has_difference
+            ? dimensions * (1.0 + weight * static_cast<double>(match.steps))
+            : dimensions * weight *
+                  std::max(1.0, static_cast<double>(match.steps)));
     evidence.squared_end_difference = match.squared_end_difference;
     evidence.overlap_meters =
         static_cast<double>(match.steps) * model_.spacing_meters;
@@ -227,6 +231,8 @@ class RelativeSearch {
   const SearchOptions& options_;
   const double pruned_share_;
   const RelativeModel model_;
+  // The same for other recordings.
+  const RelativeModel across_;
   // One for each history.
   std::vector<RelativeAlignment> alignments_;
 };
@@ -247,7 +253,7 @@ RelativeModel ModelOf(const SearchTask& task, double pruned_share) {
   }
   if (task.prior.belief) {
     model.scales = task.prior.belief->Scales();
-    model.drifts = task.prior.belief->drifts();
+    model.drifts = task.prior.belief->drifts(task.recording);
   }
   if (pruned_share > 0.0) {
     const double ends =
@@ -257,6 +263,35 @@ RelativeModel ModelOf(const SearchTask& task, double pruned_share) {
     model.most_log_odds_sampled = kMostLogOddsSampled;
   }
   return model;
+}
+
+RelativeModel ModelAcross(const RelativeModel& model) {
+  RelativeModel across = model;
+  across.last_confirmed.reset();
+  across.drifts.clear();
+  return across;
+}
+
+bool VisitAlignments(
+    const SearchTask& task, const RelativeModel& model,
+    const RelativeModel& across,
+    const std::function<void(const History&, RelativeAlignment)>& visit) {
+  std::shared_ptr<const void> path;
+  for (std::size_t h = 0; h < task.histories.size(); ++h) {
+    const History& history = task.histories[h];
+    AlignmentParts own_parts;
+    AlignmentParts& parts =
+        task.parts == nullptr ? own_parts : (*task.parts)[h];
+    const bool is_own = history.relation.is_own();
+    if (!is_own && parts.path == nullptr) parts.path = path;
+    std::optional<RelativeAlignment> alignment =
+        AlignRelative(task.QueryIn(history), history, is_own ? model : across,
+                      task.should_stop, &parts);
+    if (!alignment) return false;
+    if (!is_own) path = parts.path;
+    visit(history, *std::move(alignment));
+  }
+  return true;
 }
 
 absl::Status SearchRelative(const SearchTask& task, CandidateSet* set) {

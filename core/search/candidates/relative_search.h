@@ -3,7 +3,11 @@
 #ifndef REVISIT_CORE_SEARCH_CANDIDATES_RELATIVE_SEARCH_H_
 #define REVISIT_CORE_SEARCH_CANDIDATES_RELATIVE_SEARCH_H_
 
+#include <functional>
+
 #include "absl/status/status.h"
+#include "core/search/alignment/history.h"
+#include "core/search/alignment/relative.h"
 #include "core/search/alignment/relative_model.h"
 #include "core/search/candidates/candidate.h"
 #include "core/search/candidates/search_task.h"
@@ -22,6 +26,16 @@ inline constexpr double kMostLogOddsSampled = -4.6;
 // The model of a task. Ends of all histories are pruned that have at most
 // `pruned_share` of all odds together; none if it is 0.
 RelativeModel ModelOf(const SearchTask& task, double pruned_share);
+// The same for histories that are other recordings, where the drift is another.
+RelativeModel ModelAcross(const RelativeModel& model);
+
+// Aligns the task's query with one history after the other; alignments do not
+// depend on each other. Other recordings take the model `across`. False if told
+// to stop.
+bool VisitAlignments(
+    const SearchTask& task, const RelativeModel& model,
+    const RelativeModel& across,
+    const std::function<void(const History&, RelativeAlignment)>& visit);
 
 // Fills in the candidates and the probability of a new place; leaves that out
 // where no covariance is well-conditioned. Unless the search is exhaustive,

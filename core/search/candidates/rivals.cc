@@ -1,6 +1,7 @@
 #include "core/search/candidates/rivals.h"
 
 #include <algorithm>
+#include <map>
 #include <utility>
 
 #include "core/drive/node_range.h"
@@ -18,26 +19,58 @@ bool AreAlongside(const RankedPlace& a, const RankedPlace& b) {
 
 }  // namespace
 
+// Asks whether two places are passes of one.
+class Rivals::Passes {
+ public:
+  Passes(const std::vector<History>& histories, const FrameRelations* frames,
+         const RelativeModel& model)
+      : histories_(histories), frames_(frames), model_(model) {}
+
+  double Same(const RankedPlace& a, const RankedPlace& b) {
+    const double ratio =
+        std::min(a.log_likelihood_ratio, b.log_likelihood_ratio);
+    const std::size_t from = histories_[a.history].recording;
+    const std::size_t to = histories_[b.history].recording;
+    if (from == to) {
+      return SamePlaceProbability(histories_[a.history].graph, model_,
+                                  a.end.matched, b.end.matched, ratio);
+    }
+    auto relations = relations_.find(from);
+    if (relations == relations_.end()) {
+      relations = relations_.emplace(from, frames_->From(from)).first;
+    }
+    return SamePlaceAcross(frames_->nodes(), relations->second[to], model_,
+                           a.end.matched, b.end.matched, ratio);
+  }
+
+ private:
+  const std::vector<History>& histories_;
+  const FrameRelations* const frames_;
+  const RelativeModel& model_;
+  // Of a recording to all others, once it was asked for.
+  std::map<std::size_t, std::vector<FrameRelation>> relations_;
+};
+
 Rivals::Rivals(const std::vector<History>& histories,
-               const RelativeModel& model, std::vector<RankedPlace> places,
-               std::size_t answered)
+               const FrameRelations* frames, const RelativeModel& model,
+               std::vector<RankedPlace> places, std::size_t answered)
     : places_(std::move(places)) {
-  const auto weigh = [&](std::size_t i) {
-    Weigh(histories[places_[i].history].graph, model, i);
-  };
+  Passes passes(histories, frames, model);
   for (const RankedPlace& place : places_) {
     least_claimed_ = std::max(least_claimed_, kLeastRivalShare * place.claimed);
   }
   const std::size_t first =
       std::min(places_.size(), std::max(answered, kWeighed));
-  for (std::size_t i = 0; i < first; ++i) weigh(i);
+  for (std::size_t i = 0; i < first; ++i) Weigh(histories, &passes, i);
   for (std::size_t i = first;
        i < places_.size() && weighed_.size() < first + kWeighed; ++i) {
-    if (places_[i].claimed >= least_claimed_ && !IsLikeAny(i)) weigh(i);
+    if (places_[i].claimed >= least_claimed_ && !IsLikeAny(i)) {
+      Weigh(histories, &passes, i);
+    }
   }
 }
 
-void Rivals::Weigh(const PoseGraph& graph, const RelativeModel& model,
+void Rivals::Weigh(const std::vector<History>& histories, Passes* passes,
                    std::size_t place) {
   const RankedPlace& a = places_[place];
   Weighed weighed{place, std::vector<double>(places_.size()), 0.0};
@@ -45,13 +78,11 @@ void Rivals::Weigh(const PoseGraph& graph, const RelativeModel& model,
     const RankedPlace& b = places_[j];
     if (j == place) {
       weighed.same[j] = 1.0;
-    } else if (AreAlongside(a, b) && b.claimed >= least_claimed_) {
-      weighed.same[j] = SamePlaceProbability(
-          graph, model, a.end.matched, b.end.matched,
-          std::min(a.log_likelihood_ratio, b.log_likelihood_ratio));
+    } else if (a.direction == b.direction && b.claimed >= least_claimed_) {
+      weighed.same[j] = passes->Same(a, b);
     }
   }
-  weighed.probability = Pooled(graph, weighed);
+  weighed.probability = Pooled(histories[a.history].graph, weighed);
   weighed_.push_back(std::move(weighed));
 }
 

@@ -4,13 +4,14 @@
 // Each place has claimed the probability of its own nodes (Posterior::Claim()).
 // Passes of one place speak for each other: to what a place has claimed comes
 // what every other has, times the probability that the two are the same place
-// (same_place.h). Places of different histories count as different.
+// (same_place.h), in whichever recordings they lie.
 #ifndef REVISIT_CORE_SEARCH_CANDIDATES_RIVALS_H_
 #define REVISIT_CORE_SEARCH_CANDIDATES_RIVALS_H_
 
 #include <cstddef>
 #include <vector>
 
+#include "core/drive/frame_relations.h"
 #include "core/drive/pose_graph.h"
 #include "core/search/alignment/history.h"
 #include "core/search/alignment/log_similarity.h"
@@ -47,8 +48,11 @@ class Rivals {
   // or kWeighed if these are more. A road that was driven hundreds of times has
   // as many: all of them count, while only those that are weighed cost time,
   // O(places) each.
-  Rivals(const std::vector<History>& histories, const RelativeModel& model,
-         std::vector<RankedPlace> places, std::size_t answered = 0);
+  // `frames`: those of the recordings of the histories, or null where all are
+  // of one. All but the places are needed only while this is made.
+  Rivals(const std::vector<History>& histories, const FrameRelations* frames,
+         const RelativeModel& model, std::vector<RankedPlace> places,
+         std::size_t answered = 0);
 
   const std::vector<RankedPlace>& places() const { return places_; }
 
@@ -72,7 +76,9 @@ class Rivals {
     double probability = 0.0;
   };
 
-  void Weigh(const PoseGraph& graph, const RelativeModel& model,
+  class Passes;
+
+  void Weigh(const std::vector<History>& histories, Passes* passes,
              std::size_t place);
   bool IsLikeAny(std::size_t place) const;
   // The graph is that of the place's history.

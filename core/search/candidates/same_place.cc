@@ -3,6 +3,9 @@
 #include <cmath>
 
 #include "core/drive/node_range.h"
+#include "core/geometry/heading.h"
+#include "core/geometry/quadratic_form.h"
+#include "core/geometry/state_matrix.h"
 #include "core/noise/similarity_model.h"
 #include "core/search/alignment/log_similarity.h"
 #include "core/search/candidates/posterior.h"
@@ -28,6 +31,34 @@ bool LoopJoins(const PoseGraph& graph, NodeIndex i, NodeIndex j) {
   return false;
 }
 
+double ProbabilityOf(const RelativeModel& model, double log_prior,
+                     double log_likelihood_ratio) {
+  const double log_odds =
+      log_prior +
+      ShapeWeight(model.shape, model.spacing_meters) * log_likelihood_ratio;
+  return 1.0 / (1.0 + std::exp(-log_odds));
+}
+
+// Whether two headings are those of one direction.
+bool FaceAlike(double a, double b) {
+  return std::abs(WrapHeading(a - b)) <= 0.5 * kPi;
+}
+
+template <int D>
+double SimilarityAcross(const FrameNodes& nodes, const FrameRelation& relation,
+                        const SimilarityModel& model, NodeIndex i,
+                        NodeIndex j) {
+  const FramePair<D> pair(nodes, relation, i, model.inflation);
+  const Pose pose = nodes.graph.pose(j);
+  StateMatrix<D> gamma =
+      pair.Covariance(j, pose, ToMatrix<D>(nodes.graph.covariance(j)));
+  AddTolerance<D>(model.tolerance, &gamma);
+  const auto terms =
+      Evaluate<D>(gamma, ToVector<D>(Difference(pair.query(), pose)));
+  if (!terms) return kImpossible;
+  return -0.5 * (terms->log_determinant + terms->squared_mahalanobis);
+}
+
 }  // namespace
 
 double SamePlaceProbability(const PoseGraph& graph, const RelativeModel& model,
@@ -44,10 +75,30 @@ double SamePlaceProbability(const PoseGraph& graph, const RelativeModel& model,
   anchor.direction = Direction::kSame;
   const double similarity = LogSimilarity(graph, anchor, i, j);
   if (similarity == kImpossible) return 0.0;
-  const double log_odds =
-      similarity + LogNewPlaceTerm(model) +
-      ShapeWeight(model.shape, model.spacing_meters) * log_likelihood_ratio;
-  return 1.0 / (1.0 + std::exp(-log_odds));
+  return ProbabilityOf(model, similarity + LogNewPlaceTerm(model),
+                       log_likelihood_ratio);
+}
+
+double SamePlaceAcross(const FrameNodes& nodes, const FrameRelation& relation,
+                       const RelativeModel& model, NodeIndex i, NodeIndex j,
+                       double log_likelihood_ratio) {
+  if (!relation.is_tied()) {
+    return ProbabilityOf(model, -LogWorldNodes(model), log_likelihood_ratio);
+  }
+  const double turned =
+      relation.transform.heading + nodes.graph.pose(j).heading;
+  if (nodes.graph.has_loop_edges() &&
+      FaceAlike(nodes.graph.pose(i).heading, turned) &&
+      LoopJoins(nodes.graph, i, j)) {
+    return 1.0;
+  }
+  const double similarity =
+      model.similarity.state_space == StateSpace::kPlanar
+          ? SimilarityAcross<3>(nodes, relation, model.similarity, i, j)
+          : SimilarityAcross<4>(nodes, relation, model.similarity, i, j);
+  if (similarity == kImpossible) return 0.0;
+  return ProbabilityOf(model, similarity + LogNewPlaceTerm(model),
+                       log_likelihood_ratio);
 }
 
 }  // namespace revisit::core

@@ -4,6 +4,7 @@
 #ifndef REVISIT_CORE_SEARCH_CANDIDATES_SAME_PLACE_H_
 #define REVISIT_CORE_SEARCH_CANDIDATES_SAME_PLACE_H_
 
+#include "core/drive/frame_relation.h"
 #include "core/drive/pose_graph.h"
 #include "core/search/alignment/relative_model.h"
 
@@ -19,6 +20,12 @@ namespace revisit::core {
 double SamePlaceProbability(const PoseGraph& graph, const RelativeModel& model,
                             NodeIndex i, NodeIndex j,
                             double log_likelihood_ratio);
+
+// The same for nodes of two recordings. `relation` is that of i's frame to j's;
+// where nothing ties them, shapes alone are compared.
+double SamePlaceAcross(const FrameNodes& nodes, const FrameRelation& relation,
+                       const RelativeModel& model, NodeIndex i, NodeIndex j,
+                       double log_likelihood_ratio);
 
 }  // namespace revisit::core
 

@@ -4,7 +4,7 @@ namespace revisit::core {
 
 NodeIndex SearchTask::history_size() const {
   NodeIndex size = 0;
-  for (const History& history : histories) size += history.size;
+  for (const History& history : histories) size += history.size();
   return size;
 }
 

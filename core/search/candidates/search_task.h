@@ -2,12 +2,14 @@
 #ifndef REVISIT_CORE_SEARCH_CANDIDATES_SEARCH_TASK_H_
 #define REVISIT_CORE_SEARCH_CANDIDATES_SEARCH_TASK_H_
 
+#include <memory>
 #include <optional>
 #include <vector>
 
 #include "absl/status/status.h"
 #include "core/drive/block_bounds.h"
 #include "core/drive/confirmed_loop.h"
+#include "core/drive/frame_relations.h"
 #include "core/drive/motion_history.h"
 #include "core/drive/node_range.h"
 #include "core/drive/pose_graph.h"
@@ -38,9 +40,17 @@ struct SearchTask {
   NodeIndex history_size() const;
 
   // The query's path is sought in all of the histories, which may hold the
-  // first of its nodes too. What they refer to must outlive the search.
+  // first of its nodes too, that of its own recording first, if it has nodes.
+  // In other recordings more has to be shown by the shape: there a longer path
+  // is sought. What they refer to must outlive the search.
   Query query;
+  Query across;
   std::vector<History> histories;
+  // The query's recording.
+  std::size_t recording = 0;
+  // How the frames of the recordings lie to each other; null where all is one
+  // recording.
+  std::shared_ptr<const FrameRelations> frames;
   const SearchOptions& options;
   double node_spacing_meters = 0.0;
   SearchPrior prior;
@@ -48,6 +58,11 @@ struct SearchTask {
   // The parts of alignments of the same query with each of the histories, with
   // the same options, or null.
   std::vector<AlignmentParts>* parts = nullptr;
+
+  // The query as it is sought in a history.
+  const Query& QueryIn(const History& history) const {
+    return history.relation.is_own() ? query : across;
+  }
 };
 
 // The directions that a search looks in: the same direction first.

@@ -23,13 +23,15 @@ Verdict GateAlone(GateVerdict gate) {
   return Verdict::kIllConditioned;
 }
 
-Verdict Decide(const GateResult& gate, const RelativeEvidence& evidence,
+Verdict Decide(const GateResult* gate, const RelativeEvidence& evidence,
                const Alternatives& alternatives,
                double acceptance_probability) {
-  const bool outside = gate.verdict == GateVerdict::kRejected &&
-                       evidence.squared_end_difference > gate.threshold;
-  if (outside || gate.verdict == GateVerdict::kIllConditioned) {
-    return GateAlone(gate.verdict);
+  const bool outside = gate != nullptr &&
+                       gate->verdict == GateVerdict::kRejected &&
+                       evidence.squared_end_difference > gate->threshold;
+  if (outside ||
+      (gate != nullptr && gate->verdict == GateVerdict::kIllConditioned)) {
+    return GateAlone(gate->verdict);
   }
   if (evidence.path_gate.verdict == GateVerdict::kRejected) {
     return Verdict::kRejectedByShape;

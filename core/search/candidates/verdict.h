@@ -47,9 +47,10 @@ struct Alternatives {
 //                      probable enough
 //   rejected by shape  all others
 //
-// `gate` is the decision on the two end poses. "Probable enough" is
+// `gate` is the decision on the two end poses, or null where nothing tells how
+// their frames lie to each other: then it does not count. "Probable enough" is
 // `acceptance_probability`.
-Verdict Decide(const GateResult& gate, const RelativeEvidence& evidence,
+Verdict Decide(const GateResult* gate, const RelativeEvidence& evidence,
                const Alternatives& alternatives, double acceptance_probability);
 
 }  // namespace revisit::core

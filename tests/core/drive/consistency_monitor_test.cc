@@ -94,8 +94,8 @@ double InflationFound(std::mt19937_64& random, double inflation, int count,
     SimilarityModel model = options.similarity;
     model.inflation = options.applied ? found : 1.0;
     if (DecideAt({pairs.graph(), loop.query}, {pairs.graph(), loop.query},
-                 model, gate, loop.matched)
-            .gate.verdict != GateVerdict::kAccepted) {
+                 model, gate, loop.matched, 0)
+            ->gate.verdict != GateVerdict::kAccepted) {
       continue;
     }
     confirmed.push_back(loop);
@@ -210,8 +210,8 @@ TEST(ConsistencyTest, TellsTheMeanOfTheSquaresAsClaimed) {
     const ConfirmedLoop& loop = confirmed.back();
     sum += DecideAt({pairs.graph(), loop.query}, {pairs.graph(), loop.query},
                     options.similarity, Gate(StateSpace::kSpatial, 0.95),
-                    loop.matched)
-               .gate.squared_mahalanobis;
+                    loop.matched, 0)
+               ->gate.squared_mahalanobis;
   }
   const Consistency consistency =
       EstimateConsistency(pairs.graph(), options, confirmed);

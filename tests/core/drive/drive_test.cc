@@ -56,7 +56,7 @@ TEST(DriveTest, RecognisesTheSecondLap) {
             drive.graph().size() - 75);
   const Candidate& best = set->candidates[0];
   EXPECT_EQ(best.rank, 1);
-  EXPECT_EQ(best.difference.gate.verdict, GateVerdict::kAccepted);
+  EXPECT_EQ(best.difference->gate.verdict, GateVerdict::kAccepted);
   EXPECT_NEAR(drive.graph().node(best.matched).travelled_meters, 500.0, 2.0);
   ASSERT_EQ(best.path.size(), 150u);
   EXPECT_EQ(best.path.back().first, *set->query);
@@ -199,7 +199,7 @@ TEST(DriveTest, OptionsOverrideTheVehicles) {
   const auto set = Search(&drive).AtEnd(options, nullptr);
   ASSERT_EQ(set->candidates.size(), 2u);
   EXPECT_EQ(set->candidates[0].path.size(), 30u);
-  EXPECT_NEAR(set->candidates[0].difference.gate.threshold, 2.36597, 1e-5);
+  EXPECT_NEAR(set->candidates[0].difference->gate.threshold, 2.36597, 1e-5);
 }
 
 TEST(DriveTest, PlanarAndSpatialAgreeOnAFlatRoad) {
@@ -213,9 +213,9 @@ TEST(DriveTest, PlanarAndSpatialAgreeOnAFlatRoad) {
   const auto a = Search(&spatial).AtEnd({}, nullptr);
   const auto b = Search(&planar).AtEnd({}, nullptr);
   EXPECT_EQ(a->candidates[0].matched, b->candidates[0].matched);
-  EXPECT_EQ(a->candidates[0].difference.gate.degrees_of_freedom, 4);
-  EXPECT_NEAR(a->candidates[0].difference.gate.squared_mahalanobis,
-              b->candidates[0].difference.gate.squared_mahalanobis, 1e-9);
+  EXPECT_EQ(a->candidates[0].difference->gate.degrees_of_freedom, 4);
+  EXPECT_NEAR(a->candidates[0].difference->gate.squared_mahalanobis,
+              b->candidates[0].difference->gate.squared_mahalanobis, 1e-9);
 }
 
 }  // namespace

@@ -67,19 +67,19 @@ class Claims {
 };
 
 // A vehicle's recordings, one behind the other.
-class Recordings {
+class Stretches {
  public:
   // Begins anew, with small claims.
-  Recordings& Restart(const std::vector<Pose>& poses) {
+  Stretches& Restart(const std::vector<Pose>& poses) {
     claims_ = Claims();
     restarted_at_ = samples_.size();
     return Send(poses);
   }
   // Goes on as if the vehicle had driven to the first of these poses.
-  Recordings& Continue(const std::vector<Pose>& poses) { return Send(poses); }
+  Stretches& Continue(const std::vector<Pose>& poses) { return Send(poses); }
   // The same, but says how uncertain the first of these poses is.
-  Recordings& State(double position, double heading,
-                    const std::vector<Pose>& poses) {
+  Stretches& State(double position, double heading,
+                   const std::vector<Pose>& poses) {
     added_ = {position, heading};
     return Send(poses);
   }
@@ -88,7 +88,7 @@ class Recordings {
   std::vector<PoseSample>& samples() { return samples_; }
 
  private:
-  Recordings& Send(const std::vector<Pose>& poses) {
+  Stretches& Send(const std::vector<Pose>& poses) {
     for (const Pose& pose : poses) {
       if (samples_.size() != restarted_at_) {
         const Pose& before = samples_.back().pose;
@@ -171,7 +171,7 @@ std::vector<Pose> Road(double meters, const Pose& start = {}) {
 TEST(FrameWatchTest, SeesClaimsThatFallOverALeapThatIsBridged) {
   const std::vector<Pose> town = Town();
   const std::uint64_t second = town.size() + 1;
-  const Recordings sent = Recordings().Restart(town).Restart(Town());
+  const Stretches sent = Stretches().Restart(town).Restart(Town());
   const std::vector<NewFrame> told = Told(sent.samples());
   ASSERT_THAT(Sequences(told), ElementsAre(second));
   EXPECT_TRUE(told[0].claims_fall);
@@ -187,8 +187,8 @@ TEST(FrameWatchTest, SeesClaimsThatFallOverALeapThatIsBridged) {
 }
 
 TEST(FrameWatchTest, TellsTheSameHoweverThePosesCome) {
-  const Recordings sent =
-      Recordings().Restart(Town()).Restart(Road(400)).Restart(Town());
+  const Stretches sent =
+      Stretches().Restart(Town()).Restart(Road(400)).Restart(Town());
   const std::vector<std::uint64_t> at_once = Sequences(Told(sent.samples()));
   EXPECT_THAT(at_once, ElementsAre(Town().size() + 1,
                                    Town().size() + Road(400).size() + 1));
@@ -200,7 +200,7 @@ TEST(FrameWatchTest, TellsTheSameHoweverThePosesCome) {
 
 TEST(FrameWatchTest, SeesClaimsThatFallAtAJump) {
   const std::vector<Pose> first = Road(500);
-  const Recordings sent = Recordings().Restart(first).Restart(Road(300));
+  const Stretches sent = Stretches().Restart(first).Restart(Road(300));
   EXPECT_THAT(Sequences(Told(sent.samples())), ElementsAre(first.size() + 1));
 }
 
@@ -208,7 +208,7 @@ TEST(FrameWatchTest, SeesClaimsThatFallWhereTheVehicleStands) {
   // The odometry begins anew where it stands, in a frame that is turned.
   const std::vector<Pose> first =
       Trip().Straight(250).Turn(180, 20).Straight(248).poses();
-  const Recordings sent = Recordings().Restart(first).Restart(
+  const Stretches sent = Stretches().Restart(first).Restart(
       Trip(first.back()).Straight(100).poses());
   const std::vector<NewFrame> told = Told(sent.samples());
   ASSERT_EQ(told.size(), 1u);
@@ -222,8 +222,8 @@ TEST(FrameWatchTest, TellsOfAShortLeapOnce) {
     const std::vector<Pose> first = Town();
     Pose start = first.back();
     start.y += meters;
-    const Recordings sent =
-        Recordings().Restart(first).Restart(Trip(start).Straight(100).poses());
+    const Stretches sent =
+        Stretches().Restart(first).Restart(Trip(start).Straight(100).poses());
     EXPECT_THAT(Sequences(Told(sent.samples(), 1)),
                 ElementsAre(first.size() + 1))
         << meters;
@@ -232,20 +232,20 @@ TEST(FrameWatchTest, TellsOfAShortLeapOnce) {
 
 TEST(FrameWatchTest, SeesAReturnToTheStartThoughClaimsGrowOn) {
   const std::vector<Pose> first = Town();
-  const Recordings sent = Recordings().Restart(first).Continue(Road(300));
+  const Stretches sent = Stretches().Restart(first).Continue(Road(300));
   const std::vector<NewFrame> told = Told(sent.samples());
   ASSERT_THAT(Sequences(told), ElementsAre(first.size() + 1));
   EXPECT_FALSE(told[0].claims_fall);
   // From another place than the origin: to its own start, and to the origin.
   const Pose away{300.0, 200.0, 0.0, 1.0};
   for (const Pose& start : {away, Pose()}) {
-    const Recordings other =
-        Recordings().Restart(Road(400, away)).Continue(Road(300, start));
+    const Stretches other =
+        Stretches().Restart(Road(400, away)).Continue(Road(300, start));
     EXPECT_THAT(Sequences(Told(other.samples())),
                 ElementsAre(Road(400).size() + 1));
   }
   // To neither.
-  const Recordings goes_on = Recordings().Restart(Road(400)).Continue(
+  const Stretches goes_on = Stretches().Restart(Road(400)).Continue(
       Road(300, {300.0, 200.0, 0.0, 1.0}));
   EXPECT_THAT(Told(goes_on.samples()), IsEmpty());
 }
@@ -261,8 +261,8 @@ TEST(FrameWatchTest, SeesAReturnThoughClaimsStayAsTheyAre) {
 TEST(FrameWatchTest, IsSilentWhereTheStartIsSaidToBeUncertain) {
   for (const auto& [position, heading] :
        {std::make_pair(10.0, 0.01), {0.1, 0.2}, {10.0, 0.2}}) {
-    const Recordings sent =
-        Recordings().Restart(Town()).State(position, heading, Road(300));
+    const Stretches sent =
+        Stretches().Restart(Town()).State(position, heading, Road(300));
     EXPECT_THAT(Told(sent.samples()), IsEmpty()) << position << ' ' << heading;
   }
 }
@@ -274,20 +274,20 @@ TEST(FrameWatchTest, SeesNothingInOneRecording) {
       Trip().Straight(400).Turn(180, 60).Straight(400).Turn(180, 60).poses();
   for (int lap = 0; lap < 2; ++lap)
     laps.insert(laps.end(), laps.begin(), laps.end());
-  EXPECT_THAT(Told(Recordings().Restart(laps).samples()), IsEmpty());
+  EXPECT_THAT(Told(Stretches().Restart(laps).samples()), IsEmpty());
   std::vector<Pose> sparse;
   for (std::size_t i = 0; i < laps.size(); i += 25) sparse.push_back(laps[i]);
-  EXPECT_THAT(Told(Recordings().Restart(sparse).samples()), IsEmpty());
+  EXPECT_THAT(Told(Stretches().Restart(sparse).samples()), IsEmpty());
   for (const int lost : {60, 150, 400}) {
     std::vector<Pose> some = laps;
     some.erase(some.begin() + 500, some.begin() + 500 + lost);
-    EXPECT_THAT(Told(Recordings().Restart(some).samples()), IsEmpty()) << lost;
+    EXPECT_THAT(Told(Stretches().Restart(some).samples()), IsEmpty()) << lost;
   }
 }
 
 TEST(FrameWatchTest, ACompassMayKeepTheHeadingWhereTheVehicleLeaps) {
   const auto with_compass = [](const std::vector<Pose>& next) {
-    Recordings sent = Recordings().Restart(Town()).Restart(next);
+    Stretches sent = Stretches().Restart(Town()).Restart(next);
     for (PoseSample& sample : sent.samples()) {
       sample.covariance(0, 3) = sample.covariance(1, 3) = 0.0;
       sample.covariance(3, 3) = 1e-4;
@@ -303,7 +303,7 @@ TEST(FrameWatchTest, ACompassMayKeepTheHeadingWhereTheVehicleLeaps) {
 }
 
 TEST(FrameWatchTest, OnlyClaimsThatAreToGrowTell) {
-  const Recordings sent = Recordings().Restart(Town()).Restart(Town());
+  const Stretches sent = Stretches().Restart(Town()).Restart(Town());
   DriveSettings settings;
   settings.search.correlation_model = CorrelationModel::kIndependent;
   EXPECT_THAT(Told(sent.samples(), 64, settings), IsEmpty());
@@ -312,7 +312,7 @@ TEST(FrameWatchTest, OnlyClaimsThatAreToGrowTell) {
 }
 
 TEST(FrameWatchTest, FollowsTheSettingsOfTheVehicle) {
-  const Recordings sent = Recordings().Restart(Town()).Restart(Town());
+  const Stretches sent = Stretches().Restart(Town()).Restart(Town());
   DriveSettings settings;
   Drive drive(settings);
   drive.Append(sent.samples(), 1);
@@ -342,7 +342,7 @@ TEST(FrameWatchTest, WhereClaimsDoNotGrowAtAllTheirFallIsNotTold) {
 }
 
 TEST(FrameWatchTest, NothingIsJudgedOverPosesThatWereDropped) {
-  const Recordings sent = Recordings().Restart(Town()).Restart(Town());
+  const Stretches sent = Stretches().Restart(Town()).Restart(Town());
   const auto begin = sent.samples().begin();
   const auto cut = static_cast<std::ptrdiff_t>(Town().size()) - 20;
   Drive drive((DriveSettings()));
@@ -357,8 +357,7 @@ TEST(FrameWatchTest, NothingIsJudgedOverPosesThatWereDropped) {
 }
 
 TEST(FrameWatchTest, ADriveThatIsLoadedTellsTheSame) {
-  const Recordings sent =
-      Recordings().Restart(Road(3000)).Restart(Road(15'000));
+  const Stretches sent = Stretches().Restart(Road(3000)).Restart(Road(15'000));
   Drive drive((DriveSettings()));
   drive.Append(sent.samples(), 1);
   const std::vector<NewFrame> frames = FramesIn(drive.findings());

@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <optional>
@@ -310,6 +311,16 @@ std::vector<NodeRange> InParts(std::mt19937_64& random, const PoseGraph& graph,
   return search.Droppable({});
 }
 
+TEST(RetentionTest, PassesAreCountedWithinARecordingWhoseEndsStay) {
+  const Laps laps = Laps().Drive(10);
+  RetentionNeeds needs = Needs();
+  needs.recording_starts = {5 * kLap};
+  EXPECT_EQ(Text(FindDroppable(laps.graph, Passes(3), needs)),
+            "[1, " + std::to_string(FirstOfLap(2)) + ") [" +
+                std::to_string(5 * kLap + 1) + ", " +
+                std::to_string(FirstOfLap(7)) + ") ");
+}
+
 TEST(RetentionTest, IsThatOfThePlainComparisonOfAllNodes) {
   std::mt19937_64 random = SeededRandom();
   NodeIndex dropped = 0;
@@ -334,6 +345,11 @@ TEST(RetentionTest, IsThatOfThePlainComparisonOfAllNodes) {
       needs.loop_ends.push_back(
           UniformInt(random, 0, static_cast<int>(graph.size()) - 1));
     }
+    for (int k = UniformInt(random, -1, 3); k-- > 0;) {
+      needs.recording_starts.push_back(
+          UniformInt(random, 1, static_cast<int>(graph.size()) - 1));
+    }
+    std::sort(needs.recording_starts.begin(), needs.recording_starts.end());
     RetentionOptions options;
     options.max_passes = UniformInt(random, 0, 4);
     if (UniformInt(random, 0, 2) == 0) {

@@ -131,7 +131,7 @@ void ExpectSane(const absl::StatusOr<CandidateSet>& set) {
     EXPECT_TRUE(std::isfinite(candidate.score));
     EXPECT_TRUE(std::isfinite(candidate.inflation));
     EXPECT_GT(candidate.inflation, 0.0);
-    EXPECT_FALSE(std::isnan(candidate.difference.gate.p_value));
+    EXPECT_FALSE(std::isnan(candidate.difference->gate.p_value));
     EXPECT_FALSE(candidate.path.empty());
     if (!candidate.relative) continue;
     EXPECT_GE(candidate.relative->probability, 0.0);

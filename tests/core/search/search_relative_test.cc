@@ -126,7 +126,7 @@ TEST(SearchRelativeTest, ASecondLapIsAccepted) {
   EXPECT_EQ(best.rank, 1);
   EXPECT_EQ(best.verdict, Verdict::kAccepted);
   EXPECT_EQ(best.direction, Direction::kSame);
-  EXPECT_EQ(best.difference.gate.verdict, GateVerdict::kAccepted);
+  EXPECT_EQ(best.difference->gate.verdict, GateVerdict::kAccepted);
   ASSERT_TRUE(best.relative);
   EXPECT_EQ(best.relative->path_gate.verdict, GateVerdict::kAccepted);
   EXPECT_GT(best.relative->probability, 0.95);
@@ -191,9 +191,9 @@ TEST(SearchRelativeTest, AnEndFarOutsideItsUncertaintyIsRejectedByTheGate) {
   EXPECT_EQ(set.nodes_pruned, 0);
   const Candidate& best = set.candidates[0];
   EXPECT_EQ(best.verdict, Verdict::kRejectedByGate);
-  EXPECT_EQ(best.difference.gate.verdict, GateVerdict::kRejected);
+  EXPECT_EQ(best.difference->gate.verdict, GateVerdict::kRejected);
   EXPECT_GT(best.relative->squared_end_difference,
-            best.difference.gate.threshold);
+            best.difference->gate.threshold);
 }
 
 TEST(SearchRelativeTest, TwoPlacesAsGoodAreAmbiguous) {
@@ -218,7 +218,7 @@ TEST(SearchRelativeTest, TwoPlacesAsGoodAreAmbiguous) {
   for (int k : {0, 1}) {
     const Candidate& candidate = set.candidates[static_cast<std::size_t>(k)];
     EXPECT_EQ(candidate.verdict, Verdict::kAmbiguous) << k;
-    EXPECT_EQ(candidate.difference.gate.verdict, GateVerdict::kAccepted);
+    EXPECT_EQ(candidate.difference->gate.verdict, GateVerdict::kAccepted);
     EXPECT_EQ(candidate.relative->path_gate.verdict, GateVerdict::kAccepted);
     ASSERT_TRUE(candidate.relative->odds_to_runner_up);
     EXPECT_GT(*candidate.relative->odds_to_runner_up, 0.5);
@@ -254,7 +254,7 @@ TEST(SearchRelativeTest, AStraightRoadUnderHugeCovariancesIsUninformative) {
   ASSERT_FALSE(set.candidates.empty());
   for (const Candidate& candidate : set.candidates) {
     EXPECT_EQ(candidate.verdict, Verdict::kUninformative);
-    EXPECT_EQ(candidate.difference.gate.verdict, GateVerdict::kAccepted);
+    EXPECT_EQ(candidate.difference->gate.verdict, GateVerdict::kAccepted);
   }
   EXPECT_GT(*set.new_place_probability, 0.6);
 }
@@ -287,7 +287,7 @@ TEST(SearchRelativeTest, AShapeThatStraysTooFarIsRejectedByShape) {
     const CandidateSet beyond = Find(Driven(AlongAgain(radians), settings));
     ASSERT_FALSE(beyond.candidates.empty());
     const Candidate& best = beyond.candidates[0];
-    EXPECT_EQ(best.difference.gate.verdict, GateVerdict::kAccepted);
+    EXPECT_EQ(best.difference->gate.verdict, GateVerdict::kAccepted);
     if (best.relative->path_gate.verdict != GateVerdict::kRejected) continue;
     ++recognised;
     EXPECT_GT(best.relative->log_likelihood_ratio, 0.0);
@@ -309,7 +309,7 @@ TEST(SearchRelativeTest, AnEndAtTheEdgeOfTheGateNeedsAShapeThatSpeaksForIt) {
   const CandidateSet set = Find(drive);
   ASSERT_FALSE(set.candidates.empty());
   const Candidate& best = set.candidates[0];
-  EXPECT_EQ(best.difference.gate.verdict, GateVerdict::kAccepted);
+  EXPECT_EQ(best.difference->gate.verdict, GateVerdict::kAccepted);
   EXPECT_EQ(best.relative->path_gate.verdict, GateVerdict::kAccepted);
   // Had the two ends coincided, a road that is joined just there would still be
   // improbable.
@@ -371,15 +371,15 @@ void TurnLastNode(double radians, std::vector<PoseSample>* samples) {
 
 TEST(SearchRelativeTest, OneNoisyEndPoseDoesNotReject) {
   std::vector<PoseSample> samples = SureSecondLap();
-  EXPECT_EQ(Find(Driven(samples)).candidates[0].difference.gate.verdict,
+  EXPECT_EQ(Find(Driven(samples)).candidates[0].difference->gate.verdict,
             GateVerdict::kAccepted);
   TurnLastNode(0.32, &samples);
   const Drive drive = Driven(samples);
   const CandidateSet set = Find(drive);
   const Candidate& best = set.candidates[0];
-  EXPECT_EQ(best.difference.gate.verdict, GateVerdict::kRejected);
+  EXPECT_EQ(best.difference->gate.verdict, GateVerdict::kRejected);
   EXPECT_LT(best.relative->squared_end_difference,
-            best.difference.gate.threshold);
+            best.difference->gate.threshold);
   EXPECT_EQ(best.verdict, Verdict::kAccepted);
   EXPECT_NEAR(TravelledAt(drive, best), 1600.0 - RingMeters(drive), 2.5);
 }
@@ -409,7 +409,7 @@ TEST(SearchRelativeTest, OnePoseOnAnOldRoadIsNotAccepted) {
     EXPECT_LT(candidate.relative->overlap_meters, 60.0);
   }
   const Candidate& best = set.candidates[0];
-  EXPECT_EQ(best.difference.gate.verdict, GateVerdict::kAccepted);
+  EXPECT_EQ(best.difference->gate.verdict, GateVerdict::kAccepted);
 }
 
 TEST(SearchRelativeTest, TheOppositeDirectionIsFoundOnlyWhenAsked) {
@@ -439,7 +439,7 @@ TEST(SearchRelativeTest, TheOppositeDirectionIsFoundOnlyWhenAsked) {
     EXPECT_EQ(best.direction, Direction::kOpposite);
     EXPECT_EQ(best.verdict, Verdict::kAccepted);
     EXPECT_NEAR(TravelledAt(drive, best), 300.0, 3.0);
-    EXPECT_NEAR(best.difference.difference.heading, 0.0, 0.1);
+    EXPECT_NEAR(best.difference->difference.heading, 0.0, 0.1);
     // The history is walked forward while the recent path is walked back.
     EXPECT_LT(best.path.back().second, best.path.front().second);
     EXPECT_GT(best.relative->overlap_meters, 140.0);
@@ -571,7 +571,7 @@ TEST(SearchRelativeTest, CompositeAnswersDoNotDependOnTheRelativeSettings) {
     EXPECT_FALSE(plain.candidates[i].relative);
     EXPECT_EQ(
         plain.candidates[i].verdict == Verdict::kAccepted,
-        plain.candidates[i].difference.gate.verdict == GateVerdict::kAccepted);
+        plain.candidates[i].difference->gate.verdict == GateVerdict::kAccepted);
   }
 }
 
@@ -615,8 +615,8 @@ void ExpectAlike(const CandidateSet& a, const CandidateSet& b,
     EXPECT_EQ(x.verdict, y.verdict);
     EXPECT_EQ(x.path, y.path);
     EXPECT_NEAR(x.relative->probability, y.relative->probability, tolerance);
-    const double d2 = x.difference.gate.squared_mahalanobis;
-    EXPECT_NEAR(d2, y.difference.gate.squared_mahalanobis,
+    const double d2 = x.difference->gate.squared_mahalanobis;
+    EXPECT_NEAR(d2, y.difference->gate.squared_mahalanobis,
                 tolerance * std::max(1.0, d2));
   }
 }

@@ -79,6 +79,15 @@ def _pose_of_kind(kind, sequence):
         pose.covariance.values[:] = [.04, 0, 0, .04, 0, 1e-4]
     if kind == 3 and sequence > 1:
         pose.error_transition[:] = [1, 0, 0, 0, 1, 0, 0, 0, 1]
+    if kind != 2 and sequence % 100 == 60:
+        # The odometry begins anew.
+        start = pose.recording_start
+        if sequence % 300 == 60:
+            start.unknown = True
+        elif sequence % 300 == 160:
+            start.after.CopyFrom(pose.covariance)
+        else:
+            start.datum.covariance.CopyFrom(pose.covariance)
     return pose
 
 

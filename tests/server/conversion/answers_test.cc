@@ -2,15 +2,21 @@
 
 #include <chrono>
 #include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
 #include <optional>
 #include <string>
 #include <utility>
 #include <vector>
 
 #include "core/drive/findings.h"
+#include "core/drive/frame_relations.h"
 #include "core/drive/pose_graph.h"
+#include "core/drive/recordings.h"
 #include "core/geometry/heading.h"
 #include "core/geometry/pose.h"
+#include "core/geometry/recording_start.h"
 #include "core/search/search.h"
 #include "core/settings.h"
 #include "gmock/gmock.h"
@@ -86,6 +92,8 @@ TEST(AnswerTest, CandidateSaysWhereAndHowSure) {
   EXPECT_EQ(best.gate().degrees_of_freedom(), 3);
   EXPECT_EQ(best.gate().inflation(), 1.0);
   EXPECT_EQ(best.direction(), v1::DIRECTION_SAME);
+  EXPECT_EQ(best.recording_of_match(), "vehicles/square/recordings/1");
+  EXPECT_EQ(best.frame_state(), v1::FRAME_STATE_SAME);
   // Fields that a composite alignment does not know are absent.
   EXPECT_FALSE(best.has_probability());
   EXPECT_FALSE(best.has_odds_to_runner_up());
@@ -131,6 +139,7 @@ TEST(AnswerTest, CandidateSaysAllThatARelativeAlignmentKnows) {
   candidate.direction = core::Direction::kOpposite;
   candidate.verdict = core::Verdict::kAccepted;
   candidate.relative.emplace();
+  candidate.difference.emplace();
   candidate.inflation = 1.75;
   candidate.relative->probability = 0.9;
   candidate.relative->meters_before = 12.0;
@@ -188,6 +197,160 @@ TEST(AnswerTest, ProbabilityOfZeroIsThereAndOddsWithoutRunnerUpAreNot) {
   EXPECT_TRUE(message.candidates(0).has_probability());
   EXPECT_FALSE(message.candidates(0).has_odds_to_runner_up());
   EXPECT_TRUE(message.candidates(0).has_shape());
+}
+
+// Poses along +x, one a metre.
+std::vector<core::PoseSample> Straight(std::uint64_t first,
+                                       std::uint64_t count) {
+  std::vector<core::PoseSample> samples;
+  for (std::uint64_t i = 0; i < count; ++i) {
+    core::PoseSample& sample = samples.emplace_back();
+    sample.sequence = first + i;
+    sample.pose.x = static_cast<double>(i);
+    for (int d : {0, 1, 3}) {
+      sample.covariance(d, d) = 1e-4 * static_cast<double>(i + 1);
+    }
+  }
+  return samples;
+}
+
+// Three recordings of 11 poses each, the last of which has a node; of the
+// second, nothing is known, and the third begins after it.
+core::Drive ThreeRecordings() {
+  core::Drive drive(Planar().drive);
+  drive.Append(Straight(1, 11), 1);
+  core::RecordingStart start;
+  start.relation = core::RecordingRelation::kUnknown;
+  start.label = "second";
+  std::vector<core::PoseSample> samples = Straight(12, 11);
+  samples[0].recording_start =
+      std::make_shared<const core::RecordingStart>(start);
+  drive.Append(samples, 2);
+  start.relation = core::RecordingRelation::kAfter;
+  start.label = "third";
+  for (int d : {0, 1, 3}) start.covariance(d, d) = 0.25;
+  samples = Straight(23, 11);
+  samples[0].recording_start =
+      std::make_shared<const core::RecordingStart>(start);
+  drive.Append(samples, 3);
+  return drive;
+}
+
+TEST(AnswerTest, CandidateNamesTheRecordingOfItsMatch) {
+  const std::string id = "car";
+  const VehicleConfig config = Planar();
+  const core::Drive drive = ThreeRecordings();
+  const core::NodeIndex match = drive.recordings()[1].first_node;
+  core::CandidateSet set;
+  set.query = drive.graph().size() - 1;
+  set.candidates.resize(1);
+  set.candidates[0].matched = match;
+  for (const auto& [state, name] :
+       {std::pair(core::FrameState::kAfter, v1::FRAME_STATE_AFTER),
+        std::pair(core::FrameState::kDatum, v1::FRAME_STATE_DATUM),
+        std::pair(core::FrameState::kProvisional, v1::FRAME_STATE_PROVISIONAL),
+        std::pair(core::FrameState::kKnown, v1::FRAME_STATE_KNOWN)}) {
+    set.candidates[0].frame_state = state;
+    set.candidates[0].difference.emplace();
+    v1::CandidateSet message;
+    EncodeCandidateSet({id, config, drive, 1, 33, 3, 0}, set, false, {},
+                       &message);
+    EXPECT_EQ(message.candidates(0).frame_state(), name);
+    EXPECT_EQ(message.candidates(0).recording_of_match(),
+              "vehicles/car/recordings/12");
+    EXPECT_TRUE(message.candidates(0).has_difference());
+    EXPECT_TRUE(message.candidates(0).has_gate());
+  }
+}
+
+TEST(AnswerTest, CandidateInAFrameThatNothingTiesHasNoDifference) {
+  core::Candidate candidate;
+  candidate.matched = 120;
+  candidate.frame_state = core::FrameState::kNone;
+  candidate.relative.emplace();
+  const v1::CandidateSet message = Encoded(candidate, {});
+  EXPECT_EQ(message.candidates(0).frame_state(), v1::FRAME_STATE_NONE);
+  EXPECT_FALSE(message.candidates(0).has_difference());
+  EXPECT_FALSE(message.candidates(0).has_gate());
+  EXPECT_TRUE(message.candidates(0).has_shape());
+}
+
+v1::Recording RecordingOf(const core::Drive& drive, std::size_t k) {
+  const std::string id = "car";
+  const VehicleConfig config = Planar();
+  const core::FrameRelations relations =
+      drive.RelationsAt(drive.graph().size() - 1);
+  v1::Recording message;
+  EncodeRecording({id, config, drive, 1, drive.last_sequence(), 3, 0}, k,
+                  relations.From(relations.size() - 1)[k], &message);
+  return message;
+}
+
+TEST(AnswerTest, RecordingSaysWhatBeganItAndHowItsFrameIsTied) {
+  const core::Drive drive = ThreeRecordings();
+  const v1::Recording first = RecordingOf(drive, 0);
+  EXPECT_EQ(first.DebugString(), FromText<v1::Recording>(R"pb(
+                                   name: "vehicles/car/recordings/1"
+                                   first_sequence: 1
+                                   last_sequence: 11
+                                   frame_state: FRAME_STATE_NONE
+                                 )pb")
+                                     .DebugString());
+  const v1::Recording second = RecordingOf(drive, 1);
+  EXPECT_EQ(second.name(), "vehicles/car/recordings/12");
+  EXPECT_EQ(second.label(), "second");
+  EXPECT_EQ(second.start().DebugString(),
+            FromText<v1::RecordingStart>("label: 'second' unknown: true")
+                .DebugString());
+  EXPECT_EQ(second.last_sequence(), 22u);
+  EXPECT_EQ(second.frame_state(), v1::FRAME_STATE_AFTER);
+  // The third one's origin is where the second one ended.
+  EXPECT_NEAR(second.frame_pose().x_meters(), -10.0, 1e-12);
+  EXPECT_EQ(second.frame_covariance().form(), v1::COVARIANCE_FORM_PLANAR_6);
+  EXPECT_EQ(second.frame_covariance().values_size(), 6);
+  EXPECT_TRUE(second.has_frame_reference());
+  const v1::Recording third = RecordingOf(drive, 2);
+  EXPECT_EQ(third.DebugString(), FromText<v1::Recording>(R"pb(
+                                   name: "vehicles/car/recordings/23"
+                                   label: "third"
+                                   first_sequence: 23
+                                   last_sequence: 33
+                                   start {
+                                     label: "third"
+                                     after {
+                                       form: COVARIANCE_FORM_PLANAR_6
+                                       values: [ 0.25, 0, 0, 0.25, 0, 0.25 ]
+                                     }
+                                   }
+                                   frame_state: FRAME_STATE_SAME
+                                   frame_pose {}
+                                 )pb")
+                                     .DebugString());
+}
+
+TEST(AnswerTest, RecordingTellsItsDatum) {
+  core::Drive drive(Planar().drive);
+  core::RecordingStart start;
+  start.relation = core::RecordingRelation::kDatum;
+  start.datum = {10.0, -20.0, 3.0, 0.5};
+  start.datum_id = "site";
+  for (int d : {0, 1, 3}) start.covariance(d, d) = 4.0;
+  std::vector<core::PoseSample> samples = Straight(1, 10);
+  samples[0].recording_start =
+      std::make_shared<const core::RecordingStart>(start);
+  drive.Append(samples, 1);
+  EXPECT_EQ(RecordingOf(drive, 0).start().DebugString(),
+            FromText<v1::RecordingStart>(R"pb(
+              datum {
+                datum_id: "site"
+                pose { x_meters: 10 y_meters: -20 heading_radians: 0.5 }
+                covariance {
+                  form: COVARIANCE_FORM_PLANAR_6
+                  values: [ 4, 0, 0, 4, 0, 4 ]
+                }
+              }
+            )pb")
+                .DebugString());
 }
 
 TEST(AnswerTest, EveryVerdictHasItsName) {
@@ -358,6 +521,19 @@ TEST(AnswerTest, FindingNamesWhatWasSeenAndTheSettingThatMendsIt) {
   EXPECT_THAT(MessageOf(FindingOf(FindingCode::kErrorsCorrelated, 0.0, 6.54)),
               AllOf(HasSubstr("6.5 times less"),
                     HasSubstr("set correlation_model to CORRELATED_FIXES")));
+}
+
+TEST(AnswerTest, NewFrameIsMendedByTheStartOfARecording) {
+  core::Finding finding;
+  finding.code = core::FindingCode::kNewFrame;
+  finding.frame.emplace();
+  finding.frame->sequence = 401;
+  finding.frame->meters = 583.2;
+  EXPECT_THAT(MessageOf(finding),
+              AllOf(HasSubstr("sequence 401 looks like the start of a new "
+                              "recording, in a frame of its own"),
+                    HasSubstr("583 m"),
+                    HasSubstr("with recording_start (revisit: --recording)")));
 }
 
 TEST(AnswerTest, AcknowledgementWarnsOfAFinding) {

@@ -24,6 +24,10 @@ TEST(NamesTest, TakesIdsOfThePattern) {
   }
 }
 
+TEST(NamesTest, RecordingsAreNamedByTheirFirstPose) {
+  EXPECT_EQ(RecordingName("truck", 401), "vehicles/truck/recordings/401");
+}
+
 TEST(NamesTest, RefusesIdsOutsideThePattern) {
   for (const std::string& id :
        {std::string(""), std::string("-a"), std::string("a-"), std::string("-"),

@@ -1,13 +1,16 @@
 #include "server/conversion/pose_inspection.h"
 
 #include <cmath>
+#include <cstdint>
 #include <functional>
+#include <memory>
 #include <set>
 #include <string>
 #include <vector>
 
 #include "core/geometry/heading.h"
 #include "core/geometry/pose.h"
+#include "core/geometry/recording_start.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 
@@ -158,6 +161,46 @@ TEST(PoseInspectorTest, PathThatGoesForwardInZIsSteep) {
             sample->pose = {-sample->pose.x + 100.0, 0.0, sample->pose.y, 0.0};
           })),
       ElementsAre(v1::WARNING_REASON_STEEP_PATH));
+}
+
+TEST(PoseInspectorTest, NothingIsToldAcrossRecordings) {
+  Samples samples = Circle(400, 100.0);
+  const Samples earlier =
+      Changed(Circle(400, 100.0), [](core::PoseSample* sample) {
+        sample->sequence += 400;
+        sample->stamp_ns = *sample->stamp_ns - 1'000'000'000'000;
+        sample->pose.x += 5000.0;
+      });
+  samples.insert(samples.end(), earlier.begin(), earlier.end());
+  EXPECT_THAT(Reasons(samples),
+              ElementsAre(v1::WARNING_REASON_STAMPS_BACKWARDS));
+  samples[400].recording_start = std::make_shared<core::RecordingStart>();
+  EXPECT_THAT(Reasons(samples), IsEmpty());
+}
+
+TEST(PoseInspectorTest, EachRecordingIsJudgedByItself) {
+  // Half as many steps as are needed, then a way in another frame.
+  Samples samples = Circle(30, 100.0);
+  const Samples turned =
+      Changed(Circle(400, 100.0), [](core::PoseSample* sample) {
+        sample->sequence += 30;
+        sample->pose.heading =
+            core::WrapHeading(sample->pose.heading + 0.5 * core::kPi);
+      });
+  samples.insert(samples.end(), turned.begin(), turned.end());
+  samples[30].recording_start = std::make_shared<core::RecordingStart>();
+  EXPECT_THAT(Reasons(samples),
+              ElementsAre(v1::WARNING_REASON_HEADING_OFF_COURSE));
+  // Degrees are looked for over as many poses of a frame.
+  Samples degrees = Circle(60, 100.0);
+  for (std::size_t i = 0; i < degrees.size(); ++i) {
+    degrees[i].stamp_ns = static_cast<std::int64_t>(i) * 1'000'000'000;
+    degrees[i].pose = {11.5 + 1e-4 * static_cast<double>(i), 48.1, 0.0, 0.0};
+  }
+  EXPECT_THAT(Reasons(degrees),
+              ElementsAre(v1::WARNING_REASON_POSITIONS_LIKE_DEGREES));
+  degrees[20].recording_start = std::make_shared<core::RecordingStart>();
+  EXPECT_THAT(Reasons(degrees), IsEmpty());
 }
 
 TEST(PoseInspectorTest, LooksAtTheFirstPosesOnly) {

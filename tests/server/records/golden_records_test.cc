@@ -215,6 +215,29 @@ std::vector<GoldenBatch> GoldenBatches() {
   const v1::Pose geodetic = GeodeticPose(1, 43.8, -79.5, 150.0);
   v1::Pose empty_stamp = GeodeticPose(2, 0.0, 0.0, 0.0);
   empty_stamp.mutable_stamp();
+  v1::Pose first = PlanarPose(1, 0.5);
+  *first.mutable_recording_start() = FromText<v1::RecordingStart>(R"pb(
+    label: "monday.csv"
+    datum {
+      datum_id: "site"
+      pose { x_meters: 10 y_meters: -20 heading_radians: 0.5 }
+      covariance {
+        form: COVARIANCE_FORM_PLANAR_6
+        values: [ 4, 0, 0, 4, 0, 0.01 ]
+      }
+    }
+  )pb");
+  v1::Pose after = PlanarPose(2, 1.5);
+  *after.mutable_recording_start() = FromText<v1::RecordingStart>(R"pb(
+    after {
+      form: COVARIANCE_FORM_SPATIAL_10
+      values: [ 1, 0, 0, 0, 1, 0, 0, 1, 0, 0.25 ]
+    }
+  )pb");
+  v1::Pose usual = PlanarPose(3, 2.5);
+  usual.mutable_recording_start();
+  v1::Pose unknown = PlanarPose(4, 3.5);
+  unknown.mutable_recording_start()->set_unknown(true);
   return {{"PLANAR_6",
            Planar(),
            {Stamped(PlanarPose(3, 1.5), -2, 5), PlanarPose(4, -1.5)},
@@ -276,7 +299,29 @@ std::vector<GoldenBatch> GoldenBatches() {
            "0a4508021200220029000000000000e03f3a340801123000000000000010409a"
            "9999999999b93f9a9999999999c93f0000000000001440333333333333d33fb8"
            "1e85eb51b8ae3f",
-           {3055343456991013697u, 17912858905553800939u}}};
+           {3055343456991013697u, 17912858905553800939u}},
+          {"RECORDING_START",
+           Planar(),
+           {first, after, usual, unknown},
+           "0ab50108011a0909000000000000e03f29000000000000e03f3a340801123000"
+           "000000000010409a9999999999b93f9a9999999999c93f000000000000144033"
+           "3333333333d33fb81e85eb51b8ae3f4a670a0a6d6f6e6461792e6373761a590a"
+           "0473697465121b0900000000000024401100000000000034c021000000000000"
+           "e03f1a3408011230000000000000104000000000000000000000000000000000"
+           "000000000000104000000000000000007b14ae47e17a843f0aa40108021a0909"
+           "000000000000f83f29000000000000e03f3a340801123000000000000010409a"
+           "9999999999b93f9a9999999999c93f0000000000001440333333333333d33fb8"
+           "1e85eb51b8ae3f4a56125408021250000000000000f03f000000000000000000"
+           "000000000000000000000000000000000000000000f03f000000000000000000"
+           "00000000000000000000000000f03f0000000000000000000000000000d03f0a"
+           "4e08031a0909000000000000044029000000000000e03f3a3408011230000000"
+           "00000010409a9999999999b93f9a9999999999c93f0000000000001440333333"
+           "333333d33fb81e85eb51b8ae3f4a000a5008041a09090000000000000c402900"
+           "0000000000e03f3a340801123000000000000010409a9999999999b93f9a9999"
+           "999999c93f0000000000001440333333333333d33fb81e85eb51b8ae3f4a0220"
+           "01",
+           {4938006121568384767u, 988293178199026290u, 3068766054998282922u,
+            12518580020342867793u}}};
 }
 
 TEST(GoldenRecordTest, VehiclesAreWrittenAsEver) {

@@ -349,9 +349,10 @@ BatchRecord Stored(const v1::PoseBatch& batch) {
 }
 
 v1::PoseBatch Revised(const v1::PoseBatch& stored, const v1::Pose& revised,
-                      const VehicleConfig& config) {
+                      const VehicleConfig& config,
+                      RevisedStarts starts = RevisedStarts::kStay) {
   const auto record =
-      ReviseBatch(Stored(stored), config, [&](std::uint64_t sequence) {
+      ReviseBatch(Stored(stored), config, starts, [&](std::uint64_t sequence) {
         return sequence == revised.sequence()
                    ? std::make_optional(PoseFieldsOf(revised))
                    : std::nullopt;
@@ -379,10 +380,65 @@ TEST(ReviseBatchTest, ReplacesTheEstimateAndKeepsTheStamp) {
 }
 
 TEST(ReviseBatchTest, LeavesABatchAloneOfWhichNoPoseIsNamed) {
-  const auto record = ReviseBatch(Stored(SomePoses()), Planar(),
-                                  [](std::uint64_t) { return std::nullopt; });
+  const auto record =
+      ReviseBatch(Stored(SomePoses()), Planar(), RevisedStarts::kStay,
+                  [](std::uint64_t) { return std::nullopt; });
   ASSERT_THAT(record, IsOk());
   EXPECT_FALSE(record->has_value());
+}
+
+// A pose that begins a recording, with this label.
+v1::Pose Beginning(std::uint64_t sequence, const std::string& label) {
+  v1::Pose pose = PlanarPose(sequence, 0);
+  pose.mutable_recording_start()->set_label(label);
+  return pose;
+}
+
+TEST(ReviseBatchTest, KeepsTheStartsOfRecordings) {
+  v1::PoseBatch stored;
+  *stored.add_poses() = Beginning(7, "stored");
+  *stored.add_poses() = PlanarPose(8, 0);
+  EXPECT_EQ(Revised(stored, Beginning(7, "other"), Planar())
+                .poses(0)
+                .recording_start()
+                .label(),
+            "stored");
+  EXPECT_FALSE(Revised(stored, Beginning(8, "other"), Planar())
+                   .poses(1)
+                   .has_recording_start());
+}
+
+TEST(ReviseBatchTest, LeavesTheFirstStartAloneInACommonFrame) {
+  v1::PoseBatch stored;
+  for (std::uint64_t i = 1; i <= 2; ++i) {
+    *stored.add_poses() = Beginning(i, "stored");
+  }
+  const auto first =
+      Revised(stored, PlanarPose(1, 3), Planar(), RevisedStarts::kFirst);
+  EXPECT_EQ(first.poses(0).recording_start().label(), "stored");
+  const auto second =
+      Revised(stored, PlanarPose(2, 3), Planar(), RevisedStarts::kFirst);
+  EXPECT_FALSE(second.poses(1).has_recording_start());
+  EXPECT_EQ(second.poses(1).local().x_meters(), 3);
+}
+
+TEST(ReviseBatchTest, ErrorsOfAFormerStartStayIndependentInACommonFrame) {
+  const VehicleConfig config = Filter(Planar());
+  v1::PoseBatch stored;
+  *stored.add_poses() = Beginning(2, "stored");
+  v1::Pose revision = PlanarPose(2, 3);
+  const auto without = Revised(stored, revision, config, RevisedStarts::kFirst);
+  EXPECT_FALSE(without.poses(0).has_recording_start());
+  const auto read =
+      ProtoRecordCodec().DecodePoses(without.SerializeAsString(), config);
+  ASSERT_THAT(read, IsOk());
+  EXPECT_THAT(without.poses(0).error_transition(), SizeIs(9));
+  EXPECT_THAT(without.poses(0).error_transition(), ::testing::Each(0.0));
+  for (int i = 0; i < 9; ++i) revision.add_error_transition(0.5);
+  EXPECT_THAT(Revised(stored, revision, config, RevisedStarts::kFirst)
+                  .poses(0)
+                  .error_transition(),
+              ::testing::Each(0.5));
 }
 
 TEST(ReviseBatchTest, KeepsTheTransitionWhereNoneIsGiven) {
@@ -466,6 +522,15 @@ TEST(RecordIndependenceTest, NewFieldsOfPosesDoNotReachTheRecord) {
   v1::Pose local = PlanarPose(2, 1.5);
   local.mutable_stamp()->set_seconds(7);
   local.mutable_quaternion()->set_w(1.0);
+  *local.mutable_recording_start() = FromText<v1::RecordingStart>(R"pb(
+    datum {
+      pose { x_meters: 1 }
+      covariance {
+        form: COVARIANCE_FORM_PLANAR_6
+        values: [ 1, 0, 0, 1, 0, 1 ]
+      }
+    }
+  )pb");
   v1::Pose geodetic = GeodeticPose(1, 43.8, -79.5, 150.0);
   for (const auto& [pose, config] :
        {std::pair(local, Planar()), std::pair(geodetic, Geodetic(Planar()))}) {

@@ -60,6 +60,42 @@ class Numbers {
   std::mt19937_64 random_ = SeededRandom();
 };
 
+void SetAnyCovariance(Numbers* numbers, v1::Covariance* covariance) {
+  covariance->set_form(static_cast<v1::CovarianceForm>(numbers->Below(6) - 1));
+  static constexpr int kSizes[] = {0, 1, 6, 10, 15, 16, 36};
+  const int size = kSizes[numbers->Below(7)];
+  for (int i = 0; i < size; ++i) covariance->add_values(numbers->Double());
+}
+
+void SetAnyStart(Numbers* numbers, v1::RecordingStart* start) {
+  static const std::string kTexts[] = {"", "a", std::string(200, 'b')};
+  start->set_label(kTexts[numbers->Below(3)]);
+  switch (numbers->Below(4)) {
+    case 0:
+      SetAnyCovariance(numbers, start->mutable_after());
+      break;
+    case 1: {
+      v1::Datum* const datum = start->mutable_datum();
+      datum->set_datum_id(kTexts[numbers->Below(3)]);
+      if (numbers->Coin()) {
+        datum->mutable_pose()->set_x_meters(numbers->Double());
+        datum->mutable_pose()->set_y_meters(numbers->Double());
+        datum->mutable_pose()->set_z_meters(numbers->Double());
+        datum->mutable_pose()->set_heading_radians(numbers->Double());
+      }
+      if (numbers->Coin()) {
+        SetAnyCovariance(numbers, datum->mutable_covariance());
+      }
+      break;
+    }
+    case 2:
+      start->set_unknown(numbers->Coin());
+      break;
+    default:
+      break;
+  }
+}
+
 v1::Pose AnyPose(Numbers* numbers) {
   v1::Pose pose;
   if (numbers->Coin()) pose.set_sequence(numbers->Integer());
@@ -96,20 +132,13 @@ v1::Pose AnyPose(Numbers* numbers) {
     default:
       break;
   }
-  if (numbers->Coin()) {
-    pose.mutable_covariance()->set_form(
-        static_cast<v1::CovarianceForm>(numbers->Below(6) - 1));
-    static constexpr int kSizes[] = {0, 1, 6, 10, 15, 16, 36};
-    const int size = kSizes[numbers->Below(7)];
-    for (int i = 0; i < size; ++i) {
-      pose.mutable_covariance()->add_values(numbers->Double());
-    }
-  }
+  if (numbers->Coin()) SetAnyCovariance(numbers, pose.mutable_covariance());
   static constexpr int kSizes[] = {0, 0, 9, 16};
   const int size = kSizes[numbers->Below(4)];
   for (int i = 0; i < size; ++i) {
     pose.add_error_transition(numbers->Double());
   }
+  if (numbers->Coin()) SetAnyStart(numbers, pose.mutable_recording_start());
   return pose;
 }
 
@@ -131,7 +160,10 @@ TEST(StoredPoseTest, OnlyFieldsOfTheStoreAreWritten) {
   const std::string before = BytesOf(pose);
   pose.GetReflection()->MutableUnknownFields(&pose)->AddVarint(99, 7);
   EXPECT_EQ(BytesOf(pose), before);
-  EXPECT_EQ(stored::Pose::descriptor()->field_count(), 8);
+  EXPECT_EQ(stored::Pose::descriptor()->field_count(), 9);
+  EXPECT_EQ(stored::RecordingStart::descriptor()->field_count(), 4);
+  EXPECT_EQ(stored::Datum::descriptor()->field_count(), 3);
+  EXPECT_EQ(stored::StatePose::descriptor()->field_count(), 4);
   EXPECT_EQ(stored::Covariance::descriptor()->field_count(), 2);
   EXPECT_EQ(stored::LocalPosition::descriptor()->field_count(), 3);
   EXPECT_EQ(stored::GeodeticPosition::descriptor()->field_count(), 3);

@@ -194,6 +194,22 @@ TEST_F(RetentionTest, AVehicleThatGoesRoundStaysBounded) {
   ExpectAsLoaded();
 }
 
+// Its first pose alone says how its frame lies to those that come later.
+TEST_F(RetentionTest, KeepsThePoseThatBeganARecording) {
+  core::RetentionOptions retention;
+  retention.max_age_ns = 2000 * kSecond;
+  Create(retention);
+  ASSERT_THAT(AppendNow(session(), "recording " + SquareBatch(1, kBatch)),
+              IsOk());
+  last_ = kBatch;
+  Drive(8000);
+  const Snapshot settled = Settled();
+  EXPECT_GT(settled.dropped, 4000u);
+  EXPECT_EQ(settled.first_kept, 1u);
+  EXPECT_THAT(Rows().front().payload, HasSubstr("recording 1 "));
+  ExpectAsLoaded();
+}
+
 TEST_F(RetentionTest, FindsTheSamePlacesAsOneThatKeepsEverything) {
   Create(3);
   Drive(4000);

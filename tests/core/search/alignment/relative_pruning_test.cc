@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "core/drive/block_bounds.h"
+#include "core/drive/block_growth.h"
 #include "core/drive/motion_history.h"
 #include "core/drive/node_range.h"
 #include "core/drive/pose_graph.h"
@@ -25,6 +26,8 @@ struct PruningSeen {
   std::int64_t considered = 0;
   std::int64_t of_nodes = 0;
   std::int64_t over_loops = 0;
+  // Blocks of another frame in which errors grow.
+  std::int64_t growing = 0;
   // More probable than a new place.
   std::int64_t seen_places = 0;
 };
@@ -91,6 +94,14 @@ void ExpectTheSameButForLowOdds(std::mt19937_64& random, const Town& town,
   BlockBounds bounds(model.similarity.state_space);
   bounds.Extend(town.graph);
   if (UniformInt(random, 0, 4) > 0) history.block_bounds = &bounds;
+  std::vector<char> growing;
+  if (!town.relation.is_own() && town.relation.tie().other_node) {
+    growing = BlocksGrowing(model.similarity.state_space, town.graph,
+                            {town.first, town.history},
+                            *town.relation.tie().other_node);
+    history.growing = &growing;
+    seen->growing += std::count(growing.begin(), growing.end(), 1);
+  }
   const auto pruned = AlignRelative(town.Asked(), history, model, nullptr);
   ASSERT_TRUE(pruned);
 
@@ -130,7 +141,7 @@ void ExpectTheSameButForLowOdds(std::mt19937_64& random, const Town& town,
     }
     ASSERT_EQ(end, ends.end());
   }
-  EXPECT_EQ(dense->considered(), town.history);
+  EXPECT_EQ(dense->considered(), town.history - town.first);
   EXPECT_LE(pruned->considered(), dense->considered());
   EXPECT_GE(pruned->considered(), static_cast<NodeIndex>(kept.size()));
   seen->considered += pruned->considered();
@@ -159,7 +170,8 @@ void Print(const PruningSeen& seen) {
   std::cout << seen.kept << " ends kept, " << seen.left_out
             << " left out; walked back from " << seen.considered << " nodes of "
             << seen.of_nodes << "; steps over loop closures " << seen.over_loops
-            << "; seen before " << seen.seen_places << "\n";
+            << "; seen before " << seen.seen_places << "; blocks that grow "
+            << seen.growing << "\n";
 }
 
 TEST(AlignRelativePruningTest, LeavesOutLowOddsAloneInSmallTowns) {
@@ -202,6 +214,37 @@ TEST(AlignRelativePruningTest,
   EXPECT_LT(4 * honest.considered, 3 * honest.of_nodes);
   EXPECT_GT(nonsense.kept, 1000);
   EXPECT_GT(nonsense.left_out, 1000);
+}
+
+TEST(AlignRelativePruningTest, LeavesOutLowOddsAloneInOtherFrames) {
+  std::mt19937_64 random = SeededRandom();
+  PruningSeen small;
+  for (int trial = 0; trial < 1000 && !::testing::Test::HasFailure(); ++trial) {
+    SCOPED_TRACE(trial);
+    Town town = RandomTown(random);
+    if (!MoveApart(random, &town)) continue;
+    if (UniformInt(random, 0, 4) == 0) ClaimAnything(random, &town);
+    for (int k = 0; k < 3; ++k) {
+      ExpectTheSameButForLowOdds(random, town, &small);
+    }
+  }
+  PruningSeen large;
+  for (int trial = 0; trial < 80 && !::testing::Test::HasFailure(); ++trial) {
+    SCOPED_TRACE(trial);
+    Town town = RandomTown(random, UniformInt(random, 10, 60));
+    if (!MoveApart(random, &town)) continue;
+    if (UniformInt(random, 0, 3) == 0) ClaimAnything(random, &town);
+    for (int k = 0; k < 3; ++k) {
+      ExpectTheSameButForLowOdds(random, town, &large);
+    }
+  }
+  Print(small);
+  Print(large);
+  EXPECT_GT(small.kept, 5000);
+  EXPECT_GT(small.left_out, 5000);
+  EXPECT_GT(large.kept, 1000);
+  EXPECT_GT(large.growing, 50);
+  EXPECT_LT(20 * large.considered, 19 * large.of_nodes);
 }
 
 }  // namespace

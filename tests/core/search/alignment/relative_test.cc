@@ -45,18 +45,18 @@ void ExpectWhatListsFind(const Town& town, Seen* seen) {
   const auto alignment =
       AlignRelative(town.Asked(), town.Past(), town.model, nullptr);
   ASSERT_TRUE(alignment);
-  oracle::SurvivorLists lists(town.graph, town.model, town.query, town.steps,
-                              town.history);
+  oracle::SurvivorLists lists(town.Asked(), town.Past(), town.model);
   seen->met += lists.met();
   seen->beyond_most += lists.beyond_most();
   for (const Direction direction : {Direction::kSame, Direction::kOpposite}) {
     const ScoredEnds& ends = alignment->ends(direction);
     auto end = ends.begin();
     const auto& expected = lists.matches()[IndexOf(direction)];
-    for (NodeIndex j = 0; j < static_cast<NodeIndex>(expected.size()); ++j) {
+    for (std::size_t k = 0; k < expected.size(); ++k) {
+      const NodeIndex j = town.first + static_cast<NodeIndex>(k);
       SCOPED_TRACE(::testing::Message()
                    << "way " << IndexOf(direction) << " end " << j);
-      const auto& match = expected[static_cast<std::size_t>(j)];
+      const auto& match = expected[k];
       const bool found = end != ends.end() && end->node == j;
       ASSERT_EQ(found, match.possible);
       if (!found) {
@@ -93,7 +93,7 @@ void ExpectWhatListsFind(const Town& town, Seen* seen) {
     }
     EXPECT_EQ(end, ends.end());
   }
-  EXPECT_EQ(alignment->considered(), town.history);
+  EXPECT_EQ(alignment->considered(), town.history - town.first);
 }
 
 TEST(AlignRelativeTest, FindsWhatASearchWithWholePathsFinds) {
@@ -112,6 +112,29 @@ TEST(AlignRelativeTest, FindsWhatASearchWithWholePathsFinds) {
   EXPECT_GT(seen.over_loops, 50);
   EXPECT_GT(seen.turned_over_loops, 10);
   EXPECT_GT(seen.opposite, 100);
+}
+
+TEST(AlignRelativeTest, FindsInAnotherFrameWhatASearchWithWholePathsFinds) {
+  std::mt19937_64 random = SeededRandom();
+  Seen seen;
+  int drifts = 0;
+  int unknown = 0;
+  for (int trial = 0; trial < 300 && !::testing::Test::HasFailure(); ++trial) {
+    Town town = RandomTown(random);
+    if (!MoveApart(random, &town)) continue;
+    drifts += static_cast<int>(town.relation.drifts().size());
+    unknown += town.relation.tie().is_tied() ? 0 : 1;
+    ExpectWhatListsFind(town, &seen);
+  }
+  std::cout << seen.ends << " ends, " << seen.walked << " with a path, "
+            << seen.opposite << " of them opposite; steps over loop closures "
+            << seen.over_loops << "; impossible " << seen.impossible
+            << "; drifts " << drifts << "; untied " << unknown << "\n";
+  EXPECT_GT(seen.walked, 500);
+  EXPECT_GT(seen.over_loops, 20);
+  EXPECT_GT(seen.opposite, 100);
+  EXPECT_GT(drifts, 30);
+  EXPECT_GT(unknown, 20);
 }
 
 TEST(AlignRelativeTest,

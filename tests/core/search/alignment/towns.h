@@ -12,10 +12,13 @@
 #include <vector>
 
 #include "core/drive/confirmed_loop.h"
+#include "core/drive/frame_relation.h"
 #include "core/drive/pose_graph.h"
+#include "core/geometry/frame_transform.h"
 #include "core/geometry/heading.h"
 #include "core/geometry/pose.h"
 #include "core/geometry/state_matrix.h"
+#include "core/search/alignment/relation.h"
 #include "core/search/alignment/relative.h"
 #include "tests/core/graphs.h"
 #include "tests/random.h"
@@ -74,10 +77,21 @@ struct Town {
   RelativeModel model;
   NodeIndex query = 0;
   std::int64_t steps = 0;
+  // The history is nodes [first, history), related to the query like this.
   NodeIndex history = 0;
+  NodeIndex first = 0;
+  Relation relation;
 
   Query Asked() const { return {graph, query, steps}; }
-  History Past() const { return {graph, history}; }
+  History Past() const {
+    History past{graph, history};
+    past.first = first;
+    past.relation = relation;
+    return past;
+  }
+  FrameNodes Frames() const {
+    return {graph, model.similarity.state_space, model.similarity.correlation};
+  }
 
   std::string Text() const {
     std::ostringstream text;
@@ -273,6 +287,93 @@ inline Town RandomTown(std::mt19937_64& random, int scale = 1) {
     BelieveAnything(random, &town);
   }
   return town;
+}
+
+// How the frame that lies at T truly may be tied, if at all.
+inline FrameRelation RandomTie(std::mt19937_64& random, const Town& town,
+                               const Pose& transform) {
+  FrameRelation tie;
+  tie.state = static_cast<FrameState>(UniformInt(random, 1, 5));
+  if (!tie.is_tied()) return tie;
+  tie.transform = transform;
+  tie.transform.x += Normal(random, 2.0);
+  tie.transform.y += Normal(random, 2.0);
+  tie.transform.heading =
+      WrapHeading(tie.transform.heading + Normal(random, 0.05));
+  const bool planar = town.model.similarity.state_space == StateSpace::kPlanar;
+  const auto anything = [&](double deviation) {
+    StateMatrix<4> matrix = ToMatrix<4>(RandomCovariance(random, deviation));
+    if (planar) {
+      matrix.row(2).setZero();
+      matrix.col(2).setZero();
+    }
+    return matrix;
+  };
+  tie.fixed = anything(Uniform(random, 0.3, 4.0));
+  if (UniformInt(random, 0, 1)) tie.drift = anything(0.5);
+  const NodeIndex m = UniformInt(random, static_cast<int>(town.first),
+                                 static_cast<int>(town.history) - 1);
+  tie.place = town.graph.pose(m);
+  if (town.Frames().have_references()) {
+    tie.other_node = m;
+    tie.asking_node =
+        town.query - UniformInt(random, 0, static_cast<int>(town.steps) - 1);
+  }
+  return tie;
+}
+
+// Makes the history another recording: moves its nodes to a frame of their own,
+// and leaves out the nodes between it and the recent path. False where it is
+// too short.
+inline bool MoveApart(std::mt19937_64& random, Town* town) {
+  const NodeIndex start = town->query - town->steps + 1;
+  town->history = start - UniformInt(random, 0, 2);
+  if (town->history < 4) return false;
+  town->first = UniformInt(random, 0, 2) == 0
+                    ? UniformInt(random, 0, static_cast<int>(town->history) / 2)
+                    : 0;
+  // T, the pose of the history's frame.
+  const Pose transform = RandomPose(random, 100.0);
+  const StateMatrix<4> back = TurnAbout<4>(-transform.heading);
+  PoseGraph graph;
+  for (NodeIndex i = 0; i < town->graph.size(); ++i) {
+    Node node = town->graph.node(i);
+    ErrorTransition transition = town->graph.transition(i);
+    if (i < town->history) {
+      node.pose = Compose(Inverse(transform), node.pose);
+      node.covariance = ToCovariance<4>(back * ToMatrix<4>(node.covariance) *
+                                        back.transpose());
+      transition = ToErrorTransition<4>(back * ToMatrix<4>(transition) *
+                                        back.transpose());
+    }
+    graph.AddNode(node,
+                  i == town->first || i == town->history ||
+                      town->graph.SegmentStart(i) == i,
+                  transition);
+  }
+  for (const auto& [a, b] : town->graph.LoopEdges()) graph.AddLoopEdge(a, b);
+  town->graph = graph;
+  town->model.last_confirmed.reset();
+  town->model.drifts.clear();
+  const FrameRelation tie = RandomTie(random, *town, transform);
+  std::vector<WeighedDrift> drifts;
+  if (town->Frames().have_references() && UniformInt(random, 0, 1)) {
+    const int count = UniformInt(random, 1, 2);
+    for (int k = 0; k < count; ++k) {
+      WeighedDrift drift;
+      drift.loop.query =
+          start + UniformInt(random, 0, static_cast<int>(town->steps) - 1);
+      drift.loop.matched = UniformInt(random, static_cast<int>(town->first),
+                                      static_cast<int>(town->history) - 1);
+      drift.reach.first = UniformInt(random, static_cast<int>(town->first),
+                                     static_cast<int>(town->history) - 1);
+      drift.reach.last = town->history;
+      drift.log_weight = std::log(Uniform(random, 0.1, 1.0) / count);
+      drifts.push_back(drift);
+    }
+  }
+  town->relation = Relation(town->Frames(), tie, drifts);
+  return true;
 }
 
 }  // namespace revisit::core

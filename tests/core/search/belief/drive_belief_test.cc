@@ -11,6 +11,7 @@
 
 #include "core/drive/dropped_stretch.h"
 #include "core/drive/pose_graph.h"
+#include "core/drive/recordings.h"
 #include "core/search/belief/mark.h"
 
 namespace revisit::core {
@@ -36,6 +37,7 @@ MarkEvidence Speaking(std::size_t scale, double nats, NodeIndex node = 500,
   mark.node = node;
   mark.matched = matched;
   mark.log_evidence[scale] = nats;
+  mark.log_all_evidence[scale] = nats;
   mark.log_matched_odds.fill(-1.0);
   mark.log_matched_odds[scale] = nats;
   return mark;
@@ -52,7 +54,7 @@ TEST(DriveBeliefTest, BeforeTheFirstMarkTheClaimsAreTheMostProbable) {
   }
   EXPECT_NEAR(sum, 1.0, 1e-12);
   EXPECT_EQ(belief.AllScales().size(), kScales);
-  EXPECT_TRUE(belief.drifts().empty());
+  EXPECT_TRUE(belief.drifts(0).empty());
 }
 
 TEST(DriveBeliefTest, LearnsScalesAboveAndBelowTheClaims) {
@@ -84,9 +86,9 @@ TEST(DriveBeliefTest, AMarkWithoutAnyPlaceTeachesNothing) {
   MarkEvidence nothing;
   nothing.node = 500;
   belief.LearnScale(nothing, 1);
-  belief.LearnDrift(graph, nothing, 800.0);
+  belief.LearnDrift(graph, Recordings(), nothing, 800.0);
   EXPECT_EQ(belief.Scale().scale, DriveBelief().Scale().scale);
-  EXPECT_TRUE(belief.drifts().empty());
+  EXPECT_TRUE(belief.drifts(0).empty());
 }
 
 TEST(DriveBeliefTest, ASurePlaceShowsTheDriftWithinReach) {
@@ -94,10 +96,11 @@ TEST(DriveBeliefTest, ASurePlaceShowsTheDriftWithinReach) {
   DriveBelief belief;
   MarkEvidence mark = Speaking(4, 12.0, 1500, 700);
   mark.log_evidence.fill(12.0);
+  mark.log_all_evidence.fill(12.0);
   mark.log_matched_odds.fill(12.0 - 1e-6);
-  belief.LearnDrift(graph, mark, 800.0);
-  ASSERT_EQ(belief.drifts().size(), 1u);
-  const WeighedDrift& drift = belief.drifts()[0];
+  belief.LearnDrift(graph, Recordings(), mark, 800.0);
+  ASSERT_EQ(belief.drifts(0).size(), 1u);
+  const WeighedDrift drift = belief.drifts(0)[0];
   EXPECT_EQ(drift.loop.query, 1500);
   EXPECT_EQ(drift.loop.matched, 700);
   // Less sure than the mark: nothing is certain.
@@ -111,9 +114,10 @@ TEST(DriveBeliefTest, AnUnsurePlaceShowsNoDrift) {
   DriveBelief belief;
   MarkEvidence mark = Speaking(4, 0.0, 1500, 700);
   mark.log_evidence.fill(12.0);
+  mark.log_all_evidence.fill(12.0);
   mark.log_matched_odds.fill(11.7);
-  belief.LearnDrift(graph, mark, 800.0);
-  EXPECT_TRUE(belief.drifts().empty());
+  belief.LearnDrift(graph, Recordings(), mark, 800.0);
+  EXPECT_TRUE(belief.drifts(0).empty());
 }
 
 TEST(DriveBeliefTest, LaterPlacesOutweighEarlierOnesAndTheBestAreKept) {
@@ -122,15 +126,16 @@ TEST(DriveBeliefTest, LaterPlacesOutweighEarlierOnesAndTheBestAreKept) {
   for (NodeIndex k = 0; k < 5; ++k) {
     MarkEvidence mark = Speaking(4, 0.0, 2000 + 25 * k, 700 + 25 * k);
     mark.log_evidence.fill(12.0);
+    mark.log_all_evidence.fill(12.0);
     mark.log_matched_odds.fill(11.95);
-    belief.LearnDrift(graph, mark, 800.0);
+    belief.LearnDrift(graph, Recordings(), mark, 800.0);
   }
-  ASSERT_EQ(belief.drifts().size(), kMostDrifts);
-  EXPECT_EQ(belief.drifts().back().loop.query, 2100);
+  ASSERT_EQ(belief.drifts(0).size(), kMostDrifts);
+  EXPECT_EQ(belief.drifts(0).back().loop.query, 2100);
   double sum = 0.0;
-  for (const WeighedDrift& drift : belief.drifts()) {
+  for (const WeighedDrift& drift : belief.drifts(0)) {
     sum += std::exp(drift.log_weight);
-    EXPECT_LE(drift.log_weight, belief.drifts().back().log_weight);
+    EXPECT_LE(drift.log_weight, belief.drifts(0).back().log_weight);
   }
   EXPECT_LT(sum, 1.0);
 }

@@ -66,8 +66,8 @@ TEST(GateTest, DoesNotInventNumbersForIllConditionedDifferences) {
   graph.AddNode(node, false, std::nullopt);
   SimilarityModel model;
   model.tolerance = {0.0, 0.0};
-  const GatedDifference decided = DecideAt({graph, 1}, {graph, 1}, model,
-                                           Gate(StateSpace::kPlanar, 0.95), 0);
+  const GatedDifference decided = *DecideAt(
+      {graph, 1}, {graph, 1}, model, Gate(StateSpace::kPlanar, 0.95), 0, 0);
   EXPECT_EQ(decided.gate.verdict, GateVerdict::kIllConditioned);
   EXPECT_EQ(decided.gate.squared_mahalanobis, 0.0);
   EXPECT_EQ(decided.gate.p_value, 0.0);
@@ -105,8 +105,9 @@ TEST(GateTest, AcceptsTrueRevisitsWithTheStatedProbability) {
       node.covariance = sample.covariance;
       graph.AddNode(node, sample.sequence == 1, std::nullopt);
     }
-    accepted += DecideAt({graph, later}, {graph, later}, model, gate, earlier)
-                    .gate.verdict == GateVerdict::kAccepted;
+    accepted +=
+        DecideAt({graph, later}, {graph, later}, model, gate, earlier, 0)
+            ->gate.verdict == GateVerdict::kAccepted;
   }
   // Binomial: sigma = sqrt(0.95 * 0.05 / 4000) = 0.0034; four sigma.
   EXPECT_NEAR(static_cast<double>(accepted) / draws, 0.95, 0.014);
@@ -117,8 +118,8 @@ TEST(GateTest, ReportsGammaWithoutTheTolerance) {
   const PoseGraph graph = RandomGraph(random, 4, 0.0, 0, false);
   SimilarityModel model;
   model.correlation = CorrelationModel::kIndependent;
-  const GatedDifference decided = DecideAt({graph, 3}, {graph, 3}, model,
-                                           Gate(StateSpace::kPlanar, 0.95), 1);
+  const GatedDifference decided = *DecideAt(
+      {graph, 3}, {graph, 3}, model, Gate(StateSpace::kPlanar, 0.95), 1, 0);
   const StateMatrix<3> expected =
       DifferenceCovariance<3>(graph, model.correlation, 3, 1);
   EXPECT_EQ(ToMatrix<3>(decided.covariance), expected);

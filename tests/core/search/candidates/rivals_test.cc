@@ -29,7 +29,7 @@ Rivals RivalsOf(const PoseGraph& graph,
                 const std::vector<RankedPlace>& places) {
   RelativeModel model;
   model.similarity.correlation = CorrelationModel::kIndependent;
-  return Rivals({{graph, graph.size()}}, model, places);
+  return Rivals({{graph, graph.size()}}, nullptr, model, places);
 }
 
 TEST(RivalsTest, APlaceAloneHasWhatItClaims) {

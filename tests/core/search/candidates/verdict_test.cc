@@ -118,7 +118,7 @@ TEST(VerdictTest, TheFirstThatAppliesIsTaken) {
     evidence.squared_end_difference = wanted.squared_end_difference;
     evidence.path_gate.verdict = wanted.path_gate;
     evidence.probability = wanted.probability;
-    EXPECT_EQ(Decide(gate, evidence, wanted.alternatives, kAcceptance),
+    EXPECT_EQ(Decide(&gate, evidence, wanted.alternatives, kAcceptance),
               wanted.verdict);
   }
 }

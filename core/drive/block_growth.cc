@@ -1,0 +1,50 @@
+#include "core/drive/block_growth.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cstddef>
+
+#include "core/geometry/state_matrix.h"
+#include "core/noise/dead_reckoning.h"
+
+namespace revisit::core {
+namespace {
+
+template <int D>
+bool NoiseIsAdded(const PoseGraph& graph, NodeIndex earlier, NodeIndex later) {
+  const Node from = graph.node(earlier);
+  const Node to = graph.node(later);
+  const StateMatrix<D> psi = DeadReckoningTransition<D>(from.pose, to.pose);
+  const StateMatrix<D> added =
+      ToMatrix<D>(to.covariance) -
+      psi * ToMatrix<D>(from.covariance) * psi.transpose();
+  const Eigen::LDLT<StateMatrix<D>> ldlt(added);
+  return ldlt.info() == Eigen::Success && ldlt.isPositive() &&
+         ldlt.vectorD().minCoeff() > 0.0;
+}
+
+}  // namespace
+
+bool NoiseIsAdded(StateSpace space, const PoseGraph& graph, NodeIndex earlier,
+                  NodeIndex later) {
+  return space == StateSpace::kPlanar ? NoiseIsAdded<3>(graph, earlier, later)
+                                      : NoiseIsAdded<4>(graph, earlier, later);
+}
+
+std::vector<char> BlocksGrowing(StateSpace space, const PoseGraph& graph,
+                                const NodeRange& nodes, NodeIndex reference) {
+  constexpr auto kBlock = static_cast<NodeIndex>(NodeBlock::kSize);
+  std::vector<char> growing(static_cast<std::size_t>(nodes.last / kBlock));
+  for (std::size_t k = 0; k < growing.size(); ++k) {
+    const auto first = static_cast<NodeIndex>(k) * kBlock;
+    bool grows = first >= nodes.first;
+    for (NodeIndex j = first; grows && j < first + kBlock; ++j) {
+      grows = NoiseIsAdded(space, graph, std::min(j, reference),
+                           std::max(j, reference));
+    }
+    growing[k] = grows ? 1 : 0;
+  }
+  return growing;
+}
+
+}  // namespace revisit::core

@@ -1,0 +1,365 @@
+#include "core/drive/frame_relation.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cassert>
+#include <cmath>
+
+#include "core/geometry/frame_transform.h"
+#include "core/geometry/heading.h"
+#include "core/geometry/quadratic_form.h"
+#include "core/noise/chi_squared.h"
+#include "core/noise/similarity_model.h"
+
+namespace revisit::core {
+namespace {
+
+// A closure whose innovation is improbable to this degree contradicts the
+// relation.
+constexpr double kAgreement = 0.99;
+
+// Headings that are less sure than this do not say in which direction a place
+// was passed, rad.
+constexpr double kLeastSureHeading = 0.8;
+
+// The states from the surest on: a chain of relations is no surer than its
+// least sure part.
+int Unsureness(FrameState state) {
+  switch (state) {
+    case FrameState::kSame:
+      return 0;
+    case FrameState::kKnown:
+      return 1;
+    case FrameState::kProvisional:
+      return 2;
+    case FrameState::kDatum:
+      return 3;
+    case FrameState::kAfter:
+      return 4;
+    case FrameState::kNone:
+      return 5;
+  }
+  return 5;
+}
+
+// A matrix of four coordinates as one of D, and back.
+template <int D>
+StateMatrix<D> Reduced(const StateMatrix<4>& matrix) {
+  StateMatrix<D> reduced;
+  for (int r = 0; r < D; ++r) {
+    for (int c = 0; c < D; ++c) {
+      reduced(r, c) = matrix(StateIndex<D>(r), StateIndex<D>(c));
+    }
+  }
+  return reduced;
+}
+
+template <int D>
+StateMatrix<4> Widened(const StateMatrix<D>& matrix) {
+  StateMatrix<4> widened = StateMatrix<4>::Zero();
+  for (int r = 0; r < D; ++r) {
+    for (int c = 0; c < D; ++c) {
+      widened(StateIndex<D>(r), StateIndex<D>(c)) = matrix(r, c);
+    }
+  }
+  return widened;
+}
+
+template <int D>
+StateMatrix<D> Symmetric(const StateMatrix<D>& m) {
+  return 0.5 * (m + m.transpose());
+}
+
+template <int D>
+StateMatrix<D> Turned(const StateMatrix<D>& m, double heading) {
+  const StateMatrix<D> turn = TurnAbout<D>(heading);
+  return turn * m * turn.transpose();
+}
+
+template <int D>
+StateMatrix<D> Swung(const StateMatrix<D>& m, const Pose& from,
+                     const Pose& to) {
+  const StateMatrix<D> lever = Lever<D>(from, to);
+  return lever * m * lever.transpose();
+}
+
+// S of a node; its rows and columns of z are 0 for PLANAR.
+StateMatrix<4> CovarianceAt(const PoseGraph& graph, NodeIndex i) {
+  return ToMatrix<4>(graph.covariance(i));
+}
+
+// Q(g, i): how a node errs given the reference, or by itself.
+StateMatrix<4> ErrorSince(const PoseGraph& graph,
+                          const std::optional<NodeIndex>& reference,
+                          NodeIndex i) {
+  const StateMatrix<4> own = CovarianceAt(graph, i);
+  if (!reference) return own;
+  const StateMatrix<4> carried = Swung<4>(
+      CovarianceAt(graph, *reference), graph.pose(*reference), graph.pose(i));
+  if (i >= *reference) return own - carried;
+  return carried - own;
+}
+
+}  // namespace
+
+template <int D>
+StateMatrix<D> Lever(const Pose& from, const Pose& to) {
+  StateMatrix<D> lever = StateMatrix<D>::Identity();
+  lever(0, D - 1) = -(to.y - from.y);
+  lever(1, D - 1) = to.x - from.x;
+  return lever;
+}
+
+FrameRelation Reversed(const FrameNodes& nodes, const FrameRelation& relation) {
+  FrameRelation reversed = relation;
+  if (!relation.is_tied()) return reversed;
+  reversed.transform = Inverse(relation.transform);
+  reversed.asking_node = relation.other_node;
+  reversed.other_node = relation.asking_node;
+  const Pose at = Compose(relation.transform, relation.place);
+  reversed.place =
+      relation.asking_node ? nodes.graph.pose(*relation.asking_node) : at;
+  for (StateMatrix<4>* part : {&reversed.fixed, &reversed.drift}) {
+    *part = Turned<4>(Swung<4>(*part, at, reversed.place),
+                      -relation.transform.heading);
+  }
+  return reversed;
+}
+
+FrameRelation Compose(const FrameNodes& nodes, const FrameRelation& to_v,
+                      const FrameRelation& from_v) {
+  FrameRelation composed;
+  if (!to_v.is_tied() || !from_v.is_tied()) return composed;
+  composed.state = Unsureness(to_v.state) > Unsureness(from_v.state)
+                       ? to_v.state
+                       : from_v.state;
+  const double turn = to_v.transform.heading;
+  composed.transform = Compose(to_v.transform, from_v.transform);
+  composed.place = from_v.place;
+  composed.asking_node = to_v.asking_node;
+  composed.other_node = from_v.other_node;
+  const Pose at = Compose(composed.transform, composed.place);
+  const Pose before = Compose(to_v.transform, to_v.place);
+  composed.fixed =
+      Swung<4>(to_v.fixed, before, at) + Turned<4>(from_v.fixed, turn);
+  composed.drift =
+      Swung<4>(to_v.drift, before, at) + Turned<4>(from_v.drift, turn);
+  if (to_v.other_node && from_v.asking_node) {
+    const Pose leaving =
+        Compose(to_v.transform, nodes.graph.pose(*from_v.asking_node));
+    composed.drift += Swung<4>(
+        Turned<4>(ErrorSince(nodes.graph, to_v.other_node, *from_v.asking_node),
+                  turn),
+        leaving, at);
+  }
+  return composed;
+}
+
+template <int D>
+StateMatrix<D> MeasuredFromQuery(const MeasuredLoop& loop,
+                                 const Pose& matched_from_query) {
+  return Swung<D>(Turned<D>(ToMatrix<D>(loop.measurement.covariance),
+                            matched_from_query.heading),
+                  loop.query.pose, matched_from_query);
+}
+
+namespace {
+
+// Gamma of T x_m as c sees it, in the axes of u, with T's own error and what
+// the two poses have added to it.
+template <int D>
+StateMatrix<D> ErrorOfMatched(const FrameNodes& nodes,
+                              const FrameRelation& relation,
+                              const ConfirmedLoop& loop, double drift_scale) {
+  const FramePair<D> pair(nodes, relation, loop.query, drift_scale);
+  return Turned<D>(
+      pair.Covariance(loop.matched, nodes.graph.pose(loop.matched),
+                      ToMatrix<D>(nodes.graph.covariance(loop.matched))),
+      relation.transform.heading);
+}
+
+// The matched pose in u as the closure has it, and the covariance of that.
+template <int D>
+struct SeenFromQuery {
+  Pose pose;
+  StateMatrix<D> covariance = StateMatrix<D>::Zero();
+};
+
+template <int D>
+SeenFromQuery<D> SeeFromQuery(const FrameNodes& nodes,
+                              const FrameRelation& relation,
+                              const ConfirmedLoop& loop) {
+  SeenFromQuery<D> seen;
+  if (loop.measured) {
+    seen.pose = Compose(loop.measured->query.pose,
+                        Inverse(loop.measured->measurement.relative));
+    seen.covariance = MeasuredFromQuery<D>(*loop.measured, seen.pose);
+    return seen;
+  }
+  seen.pose = nodes.graph.pose(loop.query);
+  AddTolerance<D>(kConfirmedTolerance, &seen.covariance);
+  if (!relation.is_tied()) return seen;
+  const double sure = relation.fixed(3, 3) + relation.drift(3, 3);
+  const double turn = seen.pose.heading - relation.transform.heading -
+                      nodes.graph.pose(loop.matched).heading;
+  if (sure < kLeastSureHeading * kLeastSureHeading &&
+      std::abs(WrapHeading(turn)) > 0.5 * kPi) {
+    seen.pose.heading = WrapHeading(seen.pose.heading + kPi);
+  }
+  return seen;
+}
+
+Pose MatchedPose(const FrameNodes& nodes, const ConfirmedLoop& loop) {
+  return loop.measured ? loop.measured->matched.pose
+                       : nodes.graph.pose(loop.matched);
+}
+
+// The relation of the closure alone.
+template <int D>
+FrameRelation TiedAnew(const FrameNodes& nodes, const ConfirmedLoop& loop,
+                       const SeenFromQuery<D>& seen, double drift_scale) {
+  FrameRelation tied;
+  tied.state = FrameState::kProvisional;
+  tied.links = 1;
+  tied.transform = Compose(seen.pose, Inverse(MatchedPose(nodes, loop)));
+  tied.place = nodes.graph.pose(loop.matched);
+  StateMatrix<D> error = seen.covariance;
+  if (nodes.have_references()) {
+    tied.asking_node = loop.query;
+    tied.other_node = loop.matched;
+  } else {
+    error += (drift_scale * drift_scale) *
+             (ToMatrix<D>(nodes.graph.covariance(loop.query)) +
+              Turned<D>(ToMatrix<D>(nodes.graph.covariance(loop.matched)),
+                        tied.transform.heading));
+  }
+  tied.fixed = Widened<D>(error);
+  return tied;
+}
+
+template <int D>
+FrameRelation TiedIn(const FrameNodes& nodes, const FrameRelation& relation,
+                     const ConfirmedLoop& loop, double drift_scale) {
+  const SeenFromQuery<D> seen = SeeFromQuery<D>(nodes, relation, loop);
+  if (!relation.is_tied()) return TiedAnew<D>(nodes, loop, seen, drift_scale);
+  const Pose matched = MatchedPose(nodes, loop);
+  const Pose placed = Compose(relation.transform, matched);
+  const StateVector<D> innovation = ToVector<D>(Difference(seen.pose, placed));
+  const StateMatrix<D> gamma =
+      ErrorOfMatched<D>(nodes, relation, loop, drift_scale);
+  const StateMatrix<D> sum = gamma + seen.covariance;
+  const auto distance = Evaluate<D>(sum, innovation);
+  const bool contradicts =
+      !distance || distance->squared_mahalanobis >
+                       ChiSquaredQuantile(static_cast<double>(D), kAgreement);
+  if (contradicts) {
+    const bool has_links = relation.state == FrameState::kProvisional ||
+                           relation.state == FrameState::kKnown;
+    return has_links ? relation : TiedAnew<D>(nodes, loop, seen, drift_scale);
+  }
+  // Where errors are absolute, those of the two poses are noise of the closure;
+  // else they are part of what is learned.
+  StateMatrix<D> prior = gamma;
+  if (!nodes.have_references()) {
+    const Pose at = Compose(relation.transform, relation.place);
+    const StateMatrix<D> own =
+        Reduced<D>(relation.fixed) +
+        (drift_scale * drift_scale) * Reduced<D>(relation.drift);
+    prior = Swung<D>(own, at, placed);
+  }
+  const StateMatrix<D> gain =
+      Eigen::LDLT<StateMatrix<D>>(sum).solve(prior).transpose();
+  const StateVector<D> moved = gain * innovation;
+  Pose corrected = placed;
+  corrected.x += moved(0);
+  corrected.y += moved(1);
+  if (D == 4) corrected.z += moved(D - 2);
+  corrected.heading = WrapHeading(corrected.heading + moved(D - 1));
+  FrameRelation tied;
+  tied.links = relation.links + 1;
+  tied.state = tied.links >= kConsistentLinks ? FrameState::kKnown
+                                              : FrameState::kProvisional;
+  tied.transform = Compose(corrected, Inverse(matched));
+  tied.place = nodes.graph.pose(loop.matched);
+  if (nodes.have_references()) {
+    tied.asking_node = loop.query;
+    tied.other_node = loop.matched;
+  }
+  tied.fixed = Widened<D>(Symmetric<D>(prior - gain * prior));
+  return tied;
+}
+
+}  // namespace
+
+FrameRelation TiedBy(const FrameNodes& nodes, const FrameRelation& relation,
+                     const ConfirmedLoop& loop, double drift_scale) {
+  return nodes.state_space == StateSpace::kPlanar
+             ? TiedIn<3>(nodes, relation, loop, drift_scale)
+             : TiedIn<4>(nodes, relation, loop, drift_scale);
+}
+
+template <int D>
+std::optional<Innovation<D>> InnovationAcross(const FrameNodes& nodes,
+                                              const FrameRelation& relation,
+                                              const ConfirmedLoop& loop,
+                                              double drift_scale) {
+  assert(loop.measured != nullptr);
+  if (!relation.is_tied()) return std::nullopt;
+  const SeenFromQuery<D> seen = SeeFromQuery<D>(nodes, relation, loop);
+  Innovation<D> innovation;
+  innovation.difference = ToVector<D>(Difference(
+      seen.pose, Compose(relation.transform, MatchedPose(nodes, loop))));
+  innovation.gamma = ErrorOfMatched<D>(nodes, relation, loop, drift_scale);
+  return innovation;
+}
+
+template <int D>
+FramePair<D>::FramePair(const FrameNodes& nodes, const FrameRelation& relation,
+                        NodeIndex query, double drift_scale, double fixed_scale)
+    : query_(Compose(Inverse(relation.transform), nodes.graph.pose(query))),
+      node_scale_(drift_scale * drift_scale),
+      place_(relation.place),
+      reference_(relation.other_node.value_or(0)) {
+  assert(relation.is_tied());
+  const double back = -relation.transform.heading;
+  const double scale = drift_scale * drift_scale;
+  own_ = scale * Turned<D>(Reduced<D>(ErrorSince(nodes.graph,
+                                                 relation.asking_node, query)),
+                           back);
+  const StateMatrix<D> transform =
+      Turned<D>(fixed_scale * Reduced<D>(relation.fixed) +
+                    scale * Reduced<D>(relation.drift),
+                back);
+  before_ = after_ = transform;
+  if (relation.other_node) {
+    const StateMatrix<D> reference =
+        scale * ToMatrix<D>(nodes.graph.covariance(*relation.other_node));
+    before_ += reference;
+    after_ -= reference;
+  }
+}
+
+template <int D>
+StateMatrix<D> FramePair<D>::Covariance(
+    NodeIndex j, const Pose& pose, const StateMatrix<D>& covariance) const {
+  const bool is_before = j < reference_;
+  return own_ + node_scale(is_before) * covariance +
+         Swung<D>(swung(is_before), place_, pose);
+}
+
+template class FramePair<3>;
+template class FramePair<4>;
+template StateMatrix<3> Lever<3>(const Pose&, const Pose&);
+template StateMatrix<4> Lever<4>(const Pose&, const Pose&);
+template StateMatrix<3> MeasuredFromQuery<3>(const MeasuredLoop&, const Pose&);
+template StateMatrix<4> MeasuredFromQuery<4>(const MeasuredLoop&, const Pose&);
+template std::optional<Innovation<3>> InnovationAcross<3>(const FrameNodes&,
+                                                          const FrameRelation&,
+                                                          const ConfirmedLoop&,
+                                                          double);
+template std::optional<Innovation<4>> InnovationAcross<4>(const FrameNodes&,
+                                                          const FrameRelation&,
+                                                          const ConfirmedLoop&,
+                                                          double);
+
+}  // namespace revisit::core

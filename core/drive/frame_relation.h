@@ -1,0 +1,158 @@
+// Where the frame of one recording lies in that of another, with its error.
+//
+// Let u be the asking frame and v the other one, T the pose of v in u. With x
+// the estimates, e their errors and m a node of v, the error of T is known at
+// the place T x_m: a shift and a turn of the covariance P, in the axes of u.
+// Farther away, the turn swings: at T x_j the covariance is L P L^T, with L the
+// identity but for the column of heading, which is J (T x_j - T x_m) in x and
+// y, J the turn by a right angle.
+//
+// Errors of T and of the poses must not count twice. Under dead reckoning P
+// holds between two reference nodes, c of u and m of v, and poses err by what
+// drift has added since these:
+//
+//   Q(g, i) = + (S_i - Psi S_g Psi^T)   i after g
+//             - (S_i - Psi S_g Psi^T)   i before g,   Psi = Psi(i, g),
+//
+// where Psi is a lever arm too (dead_reckoning.h). Other models have no
+// references: Q(i) = S_i. Errors of two frames are independent but for T, so
+// the difference of node q of u and node j of v has the covariance
+//
+//   Gamma_qj = L_j P L_j^T + Q_u(c, q) + R Q_v(m, j) R^T,
+//
+// R the turn of T: to first order exact where the two are at one place. In the
+// axes of v, with the inverse turn left out of the names, it is of the closed
+// form
+//
+//   C + s S_j + L_j M L_j^T,
+//
+// where C is the part of the query, s = 1 and M = P - S_m for j after m, and
+// s = -1 and M = P + S_m before it; without references, s = 1 and M = P. Along
+// the line from j to the query, L_j acts as L at the query's own place does:
+// regions of possible ends depend on the node by S_j alone.
+#ifndef REVISIT_CORE_DRIVE_FRAME_RELATION_H_
+#define REVISIT_CORE_DRIVE_FRAME_RELATION_H_
+
+#include <optional>
+
+#include "core/drive/confirmed_loop.h"
+#include "core/drive/frame_state.h"
+#include "core/drive/node_index.h"
+#include "core/drive/pose_graph.h"
+#include "core/geometry/pose.h"
+#include "core/geometry/state_matrix.h"
+#include "core/noise/comparison.h"
+#include "core/noise/noise_model.h"
+
+namespace revisit::core {
+
+struct FrameRelation {
+  FrameState state = FrameState::kNone;
+  // T.
+  Pose transform;
+  // P is `fixed` plus `drift`, what poses of frames between the two have added:
+  // that part scales with the errors of poses, as S does. Rows and columns of z
+  // are 0 for PLANAR.
+  StateMatrix<4> fixed = StateMatrix<4>::Zero();
+  StateMatrix<4> drift = StateMatrix<4>::Zero();
+  // Where P holds, in v's frame: the pose of m, where there is one.
+  Pose place;
+  // c and m; nothing where errors are absolute.
+  std::optional<NodeIndex> asking_node;
+  std::optional<NodeIndex> other_node;
+  // How many confirmed loops in a row tie the two frames directly.
+  int links = 0;
+
+  bool is_tied() const { return state != FrameState::kNone; }
+};
+
+// The frames of a drive: what relations are made from.
+struct FrameNodes {
+  const PoseGraph& graph;
+  StateSpace state_space = StateSpace::kPlanar;
+  Correlation correlation;
+
+  // Whether poses err by what was added since a reference.
+  bool have_references() const {
+    return correlation.noise().form == DifferenceForm::kGrown;
+  }
+};
+
+// The relation as v sees it: the frame u in v.
+FrameRelation Reversed(const FrameNodes& nodes, const FrameRelation& relation);
+
+// The relation of u to w, from those of u to v and of v to w.
+FrameRelation Compose(const FrameNodes& nodes, const FrameRelation& to_v,
+                      const FrameRelation& from_v);
+
+// What a loop closure between a node of u and a node of v, in this order,
+// leaves of a relation: Kalman's update of T x_m, and references at the loop's
+// own nodes. Where the two are not tied yet, the closure alone is the relation.
+// A closure that contradicts the relation (its innovation is beyond what one in
+// a hundred true ones has) replaces one that no closure has tied, and changes
+// nothing else. `drift_scale` multiplies standard deviations of drift.
+FrameRelation TiedBy(const FrameNodes& nodes, const FrameRelation& relation,
+                     const ConfirmedLoop& loop, double drift_scale);
+
+// The innovation of a measured closure of the two frames and its covariance
+// without that of the measurement, in the axes of u; nothing where the frames
+// are not tied.
+template <int D>
+std::optional<Innovation<D>> InnovationAcross(const FrameNodes& nodes,
+                                              const FrameRelation& relation,
+                                              const ConfirmedLoop& loop,
+                                              double drift_scale);
+
+// The covariance of a measurement of the pose of m, made from c: in the axes of
+// u, at the matched pose.
+template <int D>
+StateMatrix<D> MeasuredFromQuery(const MeasuredLoop& loop,
+                                 const Pose& matched_from_query);
+
+// Gamma of one node of the asking frame and all nodes of the other one, in the
+// other one's axes. Scaled: drift_scale multiplies standard deviations of
+// poses and of what drift has added, not of T.
+template <int D>
+class FramePair {
+ public:
+  // `fixed_scale` multiplies the variances of T's own error. REQUIRES: the
+  // relation is tied.
+  FramePair(const FrameNodes& nodes, const FrameRelation& relation,
+            NodeIndex query, double drift_scale, double fixed_scale = 1.0);
+
+  // The query's pose in the other frame.
+  const Pose& query() const { return query_; }
+  // C, s for nodes after and before the reference, and M for the same.
+  const StateMatrix<D>& own() const { return own_; }
+  double node_scale(bool is_before) const {
+    return is_before ? -node_scale_ : node_scale_;
+  }
+  const StateMatrix<D>& swung(bool is_before) const {
+    return is_before ? before_ : after_;
+  }
+  // Where L is the identity.
+  const Pose& place() const { return place_; }
+  // Nodes before this one are before the reference; 0 where there is none.
+  NodeIndex reference() const { return reference_; }
+
+  // Gamma, of a node with this pose and covariance.
+  StateMatrix<D> Covariance(NodeIndex j, const Pose& pose,
+                            const StateMatrix<D>& covariance) const;
+
+ private:
+  Pose query_;
+  StateMatrix<D> own_;
+  double node_scale_;
+  StateMatrix<D> before_;
+  StateMatrix<D> after_;
+  Pose place_;
+  NodeIndex reference_ = 0;
+};
+
+// L from one place to another.
+template <int D>
+StateMatrix<D> Lever(const Pose& from, const Pose& to);
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_DRIVE_FRAME_RELATION_H_

@@ -1,0 +1,220 @@
+// Poses of two recordings, compared in long double by the definitions at the
+// top of core/drive/frame_relation.h, in the axes of the asking frame: every
+// lever arm is one from place to place there, and errors since a reference are
+// those of a chain that begins at it.
+#ifndef REVISIT_TESTS_ORACLE_FRAMES_H_
+#define REVISIT_TESTS_ORACLE_FRAMES_H_
+
+#include <cmath>
+#include <optional>
+#include <vector>
+
+#include "core/drive/confirmed_loop.h"
+#include "core/drive/frame_relation.h"
+#include "core/drive/pose_graph.h"
+#include "core/noise/chi_squared.h"
+#include "tests/oracle/wide_state.h"
+
+namespace revisit::oracle {
+
+// A pose in long double: x, y, z, heading.
+struct WidePose {
+  Wide x = 0.0L;
+  Wide y = 0.0L;
+  Wide z = 0.0L;
+  Wide heading = 0.0L;
+};
+
+inline WidePose WidePoseOf(const core::Pose& pose) {
+  return {pose.x, pose.y, pose.z, pose.heading};
+}
+
+// What lies at `inner` in a frame that lies at `frame`.
+inline WidePose Placed(const WidePose& frame, const WidePose& inner) {
+  const Wide c = std::cos(frame.heading);
+  const Wide s = std::sin(frame.heading);
+  return {frame.x + c * inner.x - s * inner.y,
+          frame.y + s * inner.x + c * inner.y, frame.z + inner.z,
+          frame.heading + inner.heading};
+}
+
+// The frame in which what is at `inner` in it lies at `outer`.
+inline WidePose FrameWith(const WidePose& outer, const WidePose& inner) {
+  WidePose frame;
+  frame.heading = outer.heading - inner.heading;
+  const Wide c = std::cos(frame.heading);
+  const Wide s = std::sin(frame.heading);
+  frame.x = outer.x - (c * inner.x - s * inner.y);
+  frame.y = outer.y - (s * inner.x + c * inner.y);
+  frame.z = outer.z - inner.z;
+  return frame;
+}
+
+inline WideVector StateOf(const WidePose& pose, int d) {
+  WideVector state(d);
+  state(0) = pose.x;
+  state(1) = pose.y;
+  if (d == 4) state(2) = pose.z;
+  state(d - 1) = pose.heading;
+  return state;
+}
+
+// How another frame lies: its pose, and the covariance of that at the place, in
+// the axes of the asking frame.
+struct WideTie {
+  WidePose frame;
+  // In the other frame.
+  WidePose place;
+  WideMatrix covariance;
+  std::optional<core::NodeIndex> asking_node;
+  std::optional<core::NodeIndex> other_node;
+};
+
+class WideFrames {
+ public:
+  WideFrames(const core::PoseGraph& graph, bool have_references, int d)
+      : graph_(graph), have_references_(have_references), d_(d) {}
+
+  WideTie TieOf(const core::FrameRelation& relation, Wide drift_scale,
+                Wide fixed_scale) const {
+    WideTie tie;
+    tie.frame = WidePoseOf(relation.transform);
+    tie.place = WidePoseOf(relation.place);
+    tie.covariance = WideMatrix(d_, d_);
+    for (int r = 0; r < d_; ++r) {
+      for (int c = 0; c < d_; ++c) {
+        const int row = Coordinate(r, d_);
+        const int column = Coordinate(c, d_);
+        tie.covariance(r, c) =
+            fixed_scale * relation.fixed(row, column) +
+            drift_scale * drift_scale * relation.drift(row, column);
+      }
+    }
+    tie.asking_node = relation.asking_node;
+    tie.other_node = relation.other_node;
+    return tie;
+  }
+
+  // x_q - T x_j.
+  WideVector Difference(const WideTie& tie, core::NodeIndex q,
+                        core::NodeIndex j) const {
+    WideVector d =
+        StateOf(PoseAt(q), d_) - StateOf(Placed(tie.frame, PoseAt(j)), d_);
+    d(d_ - 1) = NearestTo(0.0L, d(d_ - 1));
+    return d;
+  }
+
+  // Gamma.
+  WideMatrix Gamma(const WideTie& tie, core::NodeIndex q, core::NodeIndex j,
+                   Wide drift_scale) const {
+    const WidePose at = Placed(tie.frame, PoseAt(j));
+    const WidePose known = Placed(tie.frame, tie.place);
+    const WideMatrix lever = WideLever(at.x - known.x, at.y - known.y, d_);
+    const WideMatrix turn = WideTurn(tie.frame.heading, d_);
+    return lever * tie.covariance * lever.transpose() +
+           drift_scale * drift_scale *
+               (ErrorSince(tie.asking_node, q) +
+                turn * ErrorSince(tie.other_node, j) * turn.transpose());
+  }
+
+  // The tie once it is known that nodes c and m, in either direction, are at
+  // one place, by so much; the closure alone where there was none, or, unless
+  // closures have tied it, where the two contradict each other. Products of
+  // Gaussian densities, by their information.
+  WideTie KnownBy(const std::optional<WideTie>& tie, bool by_closures,
+                  core::NodeIndex c, core::NodeIndex m, Wide drift_scale,
+                  const WideMatrix& tolerance) const {
+    WidePose seen = PoseAt(c);
+    WideTie alone;
+    alone.place = PoseAt(m);
+    if (have_references_) {
+      alone.asking_node = c;
+      alone.other_node = m;
+    }
+    const auto own = [&](const WidePose& frame) {
+      const WideMatrix turn = WideTurn(frame.heading, d_);
+      return WideMatrix(
+          drift_scale * drift_scale *
+          (ErrorSince(std::nullopt, c) +
+           turn * ErrorSince(std::nullopt, m) * turn.transpose()));
+    };
+    if (!tie) {
+      alone.frame = FrameWith(seen, PoseAt(m));
+      alone.covariance = tolerance;
+      if (!have_references_) alone.covariance += own(alone.frame);
+      return alone;
+    }
+    const WidePose placed = Placed(tie->frame, PoseAt(m));
+    const Wide sure = tie->covariance(d_ - 1, d_ - 1);
+    const Wide turned = NearestTo(0.0L, seen.heading - placed.heading);
+    if (sure < 0.64L && std::abs(turned) > 0.5L * kWidePi) {
+      seen.heading += kWidePi;
+    }
+    WideVector y = StateOf(seen, d_) - StateOf(placed, d_);
+    y(d_ - 1) = NearestTo(0.0L, y(d_ - 1));
+    WideMatrix prior = Gamma(*tie, c, m, drift_scale);
+    WideMatrix noise = tolerance;
+    if (!have_references_) {
+      noise += own(tie->frame);
+      const WidePose known = Placed(tie->frame, tie->place);
+      const WideMatrix lever =
+          WideLever(placed.x - known.x, placed.y - known.y, d_);
+      prior = lever * tie->covariance * lever.transpose();
+    }
+    const auto form = EvaluateWide(prior + noise, y);
+    if (!form || form->squared > core::ChiSquaredQuantile(d_, 0.99)) {
+      if (by_closures) return *tie;
+      alone.frame = FrameWith(seen, PoseAt(m));
+      alone.covariance = tolerance;
+      if (!have_references_) alone.covariance += own(alone.frame);
+      return alone;
+    }
+    const WideMatrix both = (prior.inverse() + noise.inverse()).inverse();
+    const WideVector moved = both * noise.inverse() * y;
+    WidePose corrected = placed;
+    corrected.x += moved(0);
+    corrected.y += moved(1);
+    if (d_ == 4) corrected.z += moved(2);
+    corrected.heading += moved(d_ - 1);
+    alone.frame = FrameWith(corrected, PoseAt(m));
+    alone.covariance = both;
+    return alone;
+  }
+
+ private:
+  WidePose PoseAt(core::NodeIndex i) const {
+    WidePose pose = WidePoseOf(graph_.node(i).pose);
+    if (d_ == 3) pose.z = 0.0L;
+    return pose;
+  }
+
+  WideMatrix CovarianceAt(core::NodeIndex i) const {
+    return WideCovarianceOf(graph_.node(i).covariance, d_);
+  }
+
+  // The covariance of node i's error, given that there is none at the
+  // reference; all of it where there is none.
+  WideMatrix ErrorSince(const std::optional<core::NodeIndex>& reference,
+                        core::NodeIndex i) const {
+    if (!reference) return CovarianceAt(i);
+    const core::NodeIndex earlier = std::min(*reference, i);
+    const core::NodeIndex later = std::max(*reference, i);
+    const WidePose from = PoseAt(earlier);
+    const WidePose to = PoseAt(later);
+    // e_later = Psi e_earlier + what is added.
+    const WideMatrix psi = WideLever(to.x - from.x, to.y - from.y, d_);
+    const WideMatrix added =
+        CovarianceAt(later) - psi * CovarianceAt(earlier) * psi.transpose();
+    if (i == later) return added;
+    const WideMatrix back = psi.inverse();
+    return back * added * back.transpose();
+  }
+
+  const core::PoseGraph& graph_;
+  const bool have_references_;
+  const int d_;
+};
+
+}  // namespace revisit::oracle
+
+#endif  // REVISIT_TESTS_ORACLE_FRAMES_H_
