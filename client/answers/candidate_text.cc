@@ -6,6 +6,7 @@
 #include <utility>
 #include <vector>
 
+#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "client/answers/deviation_text.h"
 #include "client/answers/exact_text.h"
@@ -35,6 +36,12 @@ std::string Text(const v1::PlaceInterval& interval) {
   const double after = interval.meters_after();
   return absl::StrCat(before > 0.0 ? "-" : "", Fixed(before, 1), " to ",
                       after > 0.0 ? "+" : "", Fixed(after, 1));
+}
+
+// Whether the match may be in another recording than the query.
+bool TellsOfFrames(const C& c) {
+  return c.frame_state() != v1::FRAME_STATE_UNSPECIFIED &&
+         c.frame_state() != v1::FRAME_STATE_SAME;
 }
 
 // By what the search multiplied the claims.
@@ -129,6 +136,13 @@ void AddPlaceColumns(const v1::CandidateSet& set, Columns* columns) {
   });
   columns->Add("DIRECTION", Align::kLeft,
                [](const C& c) { return NameOf(c.direction()); });
+  if (std::any_of(set.candidates().begin(), set.candidates().end(),
+                  TellsOfFrames)) {
+    columns->Add("RECORDING", Align::kRight,
+                 [](const C& c) { return absl::StrCat(RecordingOfMatch(c)); });
+    columns->Add("FRAME", Align::kLeft,
+                 [](const C& c) { return NameOf(c.frame_state()); });
+  }
 }
 
 void AddJudgementColumns(Columns* columns) {
@@ -138,14 +152,13 @@ void AddJudgementColumns(Columns* columns) {
   const auto number = [](double DecidingGate::*value, int digits) {
     return [value, digits](const C& c) {
       const DecidingGate gate = DecidingGateOf(c);
-      return gate.verdict == v1::GATE_VERDICT_ILL_CONDITIONED
-                 ? "-"
-                 : Fixed(gate.*value, digits);
+      return gate.has_distance() ? Fixed(gate.*value, digits) : "-";
     };
   };
   columns->Add("D2", Align::kRight, number(&DecidingGate::squared_distance, 3));
   columns->Add("THRESHOLD", Align::kRight, [](const C& c) {
-    return Fixed(DecidingGateOf(c).threshold, 3);
+    const DecidingGate gate = DecidingGateOf(c);
+    return gate.known ? Fixed(gate.threshold, 3) : "-";
   });
   columns->Add("P-VALUE", Align::kRight, number(&DecidingGate::p_value, 4));
   columns->Add("PROBABILITY", Align::kRight, [](const C& c) {
@@ -172,6 +185,7 @@ bool HasOdds(const C& c) { return c.has_odds_to_runner_up(); }
 bool HasPath(const C& c) { return c.has_path_gate(); }
 bool HasShape(const C& c) { return c.has_shape(); }
 bool HasDifference(const C& c) { return c.has_difference(); }
+bool HasGate(const C& c) { return c.has_gate(); }
 
 constexpr WideColumn kSearchColumns[] = {
     {"SCORE", 4, &Always, [](const C& c) { return c.score(); }},
@@ -191,16 +205,16 @@ constexpr const char* kDeviationTitles[] = {"SD DX m", "SD DY m", "SD DZ m",
                                             "SD DHEADING rad"};
 
 constexpr WideColumn kGateColumns[] = {
-    {"END D2", 3, &Always,
+    {"END D2", 3, &HasGate,
      [](const C& c) { return c.gate().squared_mahalanobis_distance(); }},
-    {"END DOF", 0, &Always,
+    {"END DOF", 0, &HasGate,
      [](const C& c) {
        return static_cast<double>(c.gate().degrees_of_freedom());
      }},
-    {"END THRESHOLD", 3, &Always,
+    {"END THRESHOLD", 3, &HasGate,
      [](const C& c) { return c.gate().threshold(); }},
-    {"END P-VALUE", 4, &Always, [](const C& c) { return c.gate().p_value(); }},
-    {"INFLATION", 2, &Always, [](const C& c) { return c.gate().inflation(); }},
+    {"END P-VALUE", 4, &HasGate, [](const C& c) { return c.gate().p_value(); }},
+    {"INFLATION", 2, &HasGate, [](const C& c) { return c.gate().inflation(); }},
     {"PATH D2", 3, &HasPath,
      [](const C& c) { return c.path_gate().squared_mahalanobis_distance(); }},
     {"PATH DOF", 1, &HasPath,
@@ -240,12 +254,27 @@ DecidingGate DecidingGateOf(const v1::Candidate& candidate) {
   const bool by_end = candidate.verdict() == v1::VERDICT_REJECTED_BY_GATE ||
                       candidate.verdict() == v1::VERDICT_ILL_CONDITIONED;
   if (by_end || !candidate.has_path_gate()) {
-    return {false, end.squared_mahalanobis_distance(), end.threshold(),
-            end.p_value(), end.verdict()};
+    return {
+        candidate.has_gate(), false,         end.squared_mahalanobis_distance(),
+        end.threshold(),      end.p_value(), end.verdict()};
   }
   const v1::PathGate& path = candidate.path_gate();
-  return {true, path.squared_mahalanobis_distance(), path.threshold(),
-          path.p_value(), path.verdict()};
+  return {true,
+          true,
+          path.squared_mahalanobis_distance(),
+          path.threshold(),
+          path.p_value(),
+          path.verdict()};
+}
+
+std::uint64_t RecordingOfMatch(const v1::Candidate& candidate) {
+  const std::string& name = candidate.recording_of_match();
+  std::uint64_t sequence = 0;
+  const std::size_t slash = name.rfind('/');
+  return slash != name.npos &&
+                 absl::SimpleAtoi(name.substr(slash + 1), &sequence)
+             ? sequence
+             : 0;
 }
 
 void PrintCheck(const v1::CandidateSet& set, std::ostream& out) {
@@ -257,7 +286,11 @@ void PrintCheck(const v1::CandidateSet& set, std::ostream& out) {
   const v1::Candidate& best = set.candidates(0);
   const DecidingGate gate = DecidingGateOf(best);
   out << PlaceOf(best.matched()) << ", ";
-  if (gate.verdict != v1::GATE_VERDICT_ILL_CONDITIONED) {
+  if (TellsOfFrames(best)) {
+    out << "recording " << RecordingOfMatch(best) << " ("
+        << NameOf(best.frame_state()) << "), ";
+  }
+  if (gate.has_distance()) {
     out << gate.name() << " d2 " << Fixed(gate.squared_distance, 2)
         << (gate.verdict == v1::GATE_VERDICT_REJECTED ? " beyond " : " within ")
         << Fixed(gate.threshold, 2) << ", ";

@@ -2,6 +2,7 @@
 #ifndef REVISIT_CLIENT_ANSWERS_CANDIDATE_TEXT_H_
 #define REVISIT_CLIENT_ANSWERS_CANDIDATE_TEXT_H_
 
+#include <cstdint>
 #include <ostream>
 #include <string>
 
@@ -12,6 +13,9 @@ namespace revisit::client {
 
 // The chi-square gate that the verdict of a candidate rests on.
 struct DecidingGate {
+  // False where the candidate has none, since nothing tells how its frame lies
+  // to that of the query.
+  bool known = true;
   // Whether it tests the whole aligned path, otherwise the end poses alone.
   bool whole_path = false;
   double squared_distance = 0.0;
@@ -19,14 +23,24 @@ struct DecidingGate {
   double p_value = 0.0;
   v1::GateVerdict verdict = v1::GATE_VERDICT_UNSPECIFIED;
 
-  // "path" or "end".
-  std::string name() const { return whole_path ? "path" : "end"; }
+  // "path", "end" or "none".
+  std::string name() const {
+    return !known ? "none" : whole_path ? "path" : "end";
+  }
+  // Whether there are numbers that tell of a distance.
+  bool has_distance() const {
+    return known && verdict != v1::GATE_VERDICT_ILL_CONDITIONED;
+  }
 };
 
 // The gate at the end where it rejects, cannot decide, or is the only one;
 // otherwise the one on the path. So the gate of an accepted candidate is one
 // that it passes, also where the end poses alone would fail.
 DecidingGate DecidingGateOf(const v1::Candidate& candidate);
+
+// The recording of a candidate's match: its first sequence. 0 if the server has
+// not told it.
+std::uint64_t RecordingOfMatch(const v1::Candidate& candidate);
 
 // A line for one check of a stream: its first candidate.
 void PrintCheck(const v1::CandidateSet& set, std::ostream& out);

@@ -15,6 +15,7 @@
 #include "client/revisit/printable_text.h"
 #include "revisit/v1/geometry.pb.h"
 #include "revisit/v1/loop_closure.pb.h"
+#include "revisit/v1/recording.pb.h"
 
 namespace revisit::client {
 
@@ -35,6 +36,9 @@ inline std::int64_t OrderOf(const v1::DeletedPosePair& pair) {
   const std::string& name = pair.name();
   return absl::SimpleAtoi(name.substr(name.rfind('/') + 1), &number) ? -number
                                                                      : 0;
+}
+inline std::uint64_t OrderOf(const v1::Recording& recording) {
+  return recording.first_sequence();
 }
 
 // The pages of a list, one after the other. `list(request)` asks for a page,

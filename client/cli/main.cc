@@ -18,6 +18,7 @@
 #include "client/cli/commands/info_command.h"
 #include "client/cli/commands/map_command.h"
 #include "client/cli/commands/poses_command.h"
+#include "client/cli/commands/recordings_command.h"
 #include "client/cli/commands/revise_command.h"
 #include "client/cli/commands/show_command.h"
 #include "client/cli/commands/stream_command.h"
@@ -67,6 +68,7 @@ void AddCommands(const Command& program, const ConnectionFlags* connection,
   AddRejectionsCommand(program);
   AddDeletionsCommand(program);
   AddPosesCommand(program);
+  AddRecordingsCommand(program);
   AddShowCommand(program);
   AddExportCommand(program);
   AddMapCommand(program);

@@ -8,6 +8,7 @@
 #include "client/evaluation/simulation.h"
 #include "client/formats/truth_file.h"
 #include "client/terminal/terminal.h"
+#include "client/trajectory/recording_starts.h"
 
 namespace revisit::client {
 namespace {
@@ -139,6 +140,78 @@ absl::Status CheckTransitions(const EvaluateOptions& options,
   return absl::OkStatus();
 }
 
+// The start that a drive's recording brings; nothing where it is the first one
+// and has no datum.
+std::optional<v1::RecordingStart> StartOf(const EvaluateOptions& options,
+                                          const Drive& drive, bool is_first,
+                                          std::uint64_t seed) {
+  const RecordingChoice& choice = *options.recordings;
+  const bool has_datum = choice.kind == RecordingChoice::Kind::kDatum;
+  if (is_first && !has_datum) return std::nullopt;
+  v1::RecordingStart start =
+      MakeRecordingStart(choice, drive.name, options.settings.state_space());
+  if (!has_datum) return start;
+  const PlanarPose datum =
+      DrawDatum(drive, choice.size->meters, choice.size->radians, seed);
+  v1::StatePose* const pose = start.mutable_datum()->mutable_pose();
+  pose->set_x_meters(datum.x);
+  pose->set_y_meters(datum.y);
+  pose->set_heading_radians(datum.heading);
+  return start;
+}
+
+// The drives as recordings of one vehicle, of which this one is the last.
+absl::StatusOr<Case> MakeRecordings(const EvaluateOptions& options,
+                                    const std::vector<Drive>& drives,
+                                    std::size_t asking, std::uint64_t seed) {
+  std::vector<std::size_t> order;
+  for (std::size_t i = 0; i < drives.size(); ++i) {
+    if (i != asking) order.push_back(i);
+  }
+  order.push_back(asking);
+  Case made;
+  made.drive.name = drives[asking].name;
+  for (const std::size_t i : order) {
+    const Drive& drive = drives[i];
+    const std::size_t first = made.drive.samples.size();
+    if (i == asking) made.asking_from = first;
+    if (auto start = StartOf(options, drive, first == 0, seed)) {
+      made.starts[first] = *std::move(start);
+    }
+    const auto claims = ClaimUncertainty(drive, options.uncertainty);
+    if (!claims.ok()) return claims.status();
+    made.uncertainty.insert(made.uncertainty.end(), claims->begin(),
+                            claims->end());
+    made.drive.samples.insert(made.drive.samples.end(), drive.samples.begin(),
+                              drive.samples.end());
+    made.drive.truth.insert(made.drive.truth.end(), drive.truth.begin(),
+                            drive.truth.end());
+  }
+  return made;
+}
+
+// Each drive once as the one that asks, for each draw.
+absl::StatusOr<std::vector<Case>> MakeAllRecordings(
+    const EvaluateOptions& options, std::vector<Drive> drives) {
+  std::vector<Case> cases;
+  for (Drive& drive : drives) {
+    if (options.gyro_bias != 0.0) AddGyroBias(options.gyro_bias, &drive);
+    const absl::Status transitions = CheckTransitions(options, drive);
+    if (!transitions.ok()) return transitions;
+  }
+  const bool draws = options.recordings->kind == RecordingChoice::Kind::kDatum;
+  for (std::size_t asking = 0; asking < drives.size(); ++asking) {
+    for (int seed = 1; seed <= (draws ? options.recording_draws : 1); ++seed) {
+      auto made = MakeRecordings(options, drives, asking,
+                                 static_cast<std::uint64_t>(seed));
+      if (!made.ok()) return made.status();
+      if (draws) made->seed = seed;
+      cases.push_back(*std::move(made));
+    }
+  }
+  return cases;
+}
+
 void Settle(const std::vector<Drive>& drives, EvaluateOptions* options) {
   options->geodetic = drives[0].samples[0].geodetic.has_value();
   if (options->geodetic) {
@@ -178,16 +251,18 @@ void AddCases(const EvaluateOptions& options, Drive drive,
   std::vector<std::uint64_t> seeds = options.seeds;
   if (seeds.empty() && options.fix_noise.has_value()) seeds = {1};
   if (seeds.empty()) {
-    cases->push_back({std::move(drive), std::nullopt, {}});
+    Case recorded;
+    recorded.drive = std::move(drive);
+    cases->push_back(std::move(recorded));
     return;
   }
   for (const std::uint64_t seed : seeds) {
-    cases->push_back(
-        {options.fix_noise.has_value()
-             ? SimulateFixes(drive, *options.fix_noise, seed)
-             : SimulateDeadReckoning(drive, options.uncertainty, seed),
-         seed,
-         {}});
+    Case drawn;
+    drawn.drive = options.fix_noise.has_value()
+                      ? SimulateFixes(drive, *options.fix_noise, seed)
+                      : SimulateDeadReckoning(drive, options.uncertainty, seed);
+    drawn.seed = seed;
+    cases->push_back(std::move(drawn));
   }
 }
 
@@ -208,6 +283,16 @@ absl::StatusOr<std::vector<Case>> ReadCases(EvaluateOptions* options) {
       return LocalError(absl::InvalidArgumentError(absl::StrCat(
           flag, " goes with local positions; --frame local makes them")));
     }
+  }
+  if (options->recordings.has_value()) {
+    if (options->geodetic) {
+      return LocalError(absl::InvalidArgumentError(
+          "--recordings: geodetic positions are in one frame whatever was "
+          "recorded when; --frame local makes others"));
+    }
+    auto recordings = MakeAllRecordings(*options, std::move(drives));
+    if (!recordings.ok()) return LocalError(recordings.status());
+    return recordings;
   }
   if (options->one_vehicle) drives = {Join(std::move(drives))};
   std::vector<Case> cases;

@@ -10,6 +10,7 @@
 #include "client/evaluation/evaluate_options.h"
 #include "client/formats/drive_file.h"
 #include "client/trajectory/dead_reckoning.h"
+#include "client/trajectory/drive_poses.h"
 
 namespace revisit::client {
 
@@ -19,6 +20,12 @@ struct Case {
   // The seed of the draw; absent for a recorded drive.
   std::optional<std::uint64_t> seed;
   std::vector<ClaimedUncertainty> uncertainty;
+  // The recordings that begin, by their first sample; none where the drive is
+  // in one frame.
+  RecordingsOfDrive starts;
+  // The first sample of the recording that asks for places in the others; 0
+  // where there is one recording.
+  std::size_t asking_from = 0;
 };
 
 // Reads all files, so that a mistake in the last one shows before the first is

@@ -79,7 +79,9 @@ MapCheck CheckOf(const JudgedCheck& judged) {
     candidate.probability = answer.probability;
     candidate.meters_before = answer.meters_before;
     candidate.meters_after = answer.meters_after;
-    candidate.gate = answer.path_gate ? "path" : "end";
+    candidate.gate = !answer.has_gate   ? "none"
+                     : answer.path_gate ? "path"
+                                        : "end";
     candidate.squared_distance = answer.squared_distance;
     candidate.threshold = answer.threshold;
     candidate.p_value = answer.p_value;

@@ -4,6 +4,7 @@
 #include <chrono>
 #include <cmath>
 #include <cstdint>
+#include <set>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -37,6 +38,7 @@ absl::StatusOr<CandidateAnswer> MakeCandidate(const v1::Candidate& given) {
   candidate.matched = given.matched().index();
   candidate.verdict = given.verdict();
   const DecidingGate gate = DecidingGateOf(given);
+  candidate.has_gate = gate.known;
   candidate.path_gate = gate.whole_path;
   candidate.squared_distance = gate.squared_distance;
   candidate.threshold = gate.threshold;
@@ -93,11 +95,13 @@ class Evaluator {
   Evaluator(std::shared_ptr<grpc::Channel> channel, const Client& client,
             const Drive& drive,
             const std::vector<ClaimedUncertainty>& uncertainty,
-            const DriveRun& run, const Terminal& terminal)
+            const RecordingsOfDrive& starts, const DriveRun& run,
+            const Terminal& terminal)
       : channel_(std::move(channel)),
         client_(client),
         drive_(drive),
         uncertainty_(uncertainty),
+        starts_(starts),
         run_(run),
         progress_(terminal, run.label, drive.samples.size(), "poses") {}
 
@@ -132,7 +136,7 @@ class Evaluator {
     result_.drive = drive_.name;
     result_.truth_at_nodes = TruthAtNodes(result_.nodes, drive_.truth);
     result_.checks = Judge(result_.nodes, result_.truth_at_nodes,
-                           result_.answers, run_.judging);
+                           result_.answers, JudgingOfNodes());
     Tally tally = Count(result_.checks);
     tally.confirmed = result_.tally.confirmed;
     tally.rejected = result_.tally.rejected;
@@ -145,8 +149,37 @@ class Evaluator {
   }
 
  private:
+  // How answers are judged now that the nodes are known.
+  Judging JudgingOfNodes() {
+    Judging judging = run_.judging;
+    if (run_.asking_from == 0) return judging;
+    const auto first = std::find_if(result_.nodes.begin(), result_.nodes.end(),
+                                    [&](const GraphNode& node) {
+                                      return node.sequence > run_.asking_from;
+                                    });
+    judging.first_asking_node = first - result_.nodes.begin();
+    if (!run_.verify) return judging;
+    // Nothing counts where there was no link.
+    judging.counted_behind =
+        linked_at_.value_or(static_cast<std::int64_t>(result_.nodes.size()));
+    if (linked_at_ && first != result_.nodes.end()) {
+      result_.linked_after_meters =
+          result_.nodes[static_cast<std::size_t>(*linked_at_)]
+              .travelled_meters -
+          first->travelled_meters;
+    }
+    return judging;
+  }
+
+  // Whether a node is of a recording that the asking one searches.
+  bool IsInOther(const v1::Node& node) const {
+    return node.sequence() <= run_.asking_from;
+  }
+
   // The end of a stretch from `begin` on in which at most one check falls due.
   std::size_t EndOfStretch(std::size_t begin) const {
+    // Nobody verifies before the asking recording begins.
+    if (begin < run_.asking_from) return run_.asking_from;
     const double most = run_.settings.check_interval_meters();
     double travelled = 0.0;
     std::size_t end = begin + 1;
@@ -217,8 +250,8 @@ class Evaluator {
     }
     // Reconnects before this lost no answers, since nothing had been sent.
     const int reconnects = stream.reconnects();
-    AppendPoses(drive_, uncertainty_, run_.settings, {begin, end}, kBatchPoses,
-                &stream);
+    AppendPoses(drive_, uncertainty_, starts_, run_.settings, {begin, end},
+                kBatchPoses, &stream);
     if (absl::Status status = stream.Finish(); !status.ok()) return status;
     if (stream.reconnects() > reconnects) {
       return absl::UnavailableError(
@@ -234,8 +267,12 @@ class Evaluator {
     const auto truth = [&](const v1::Node& node) {
       return TruthAt(node.sequence(), node.fraction(), drive_.truth);
     };
-    return candidate.matched().index() <=
-               candidate.query().index() - run_.judging.excluded_nodes &&
+    const bool is_history =
+        run_.asking_from > 0
+            ? IsInOther(candidate.matched())
+            : candidate.matched().index() <=
+                  candidate.query().index() - run_.judging.excluded_nodes;
+    return is_history &&
            SamePlace(truth(candidate.query()), truth(candidate.matched()),
                      candidate.direction() == v1::DIRECTION_OPPOSITE,
                      run_.judging);
@@ -244,6 +281,7 @@ class Evaluator {
   // The candidate that counts as first; null if there is none.
   const v1::Candidate* FirstOf(const v1::CandidateSet& set) const {
     for (const v1::Candidate& candidate : set.candidates()) {
+      if (run_.asking_from > 0 && !IsInOther(candidate.matched())) continue;
       if (!run_.older_candidates.has_value() ||
           candidate.matched().index() <=
               candidate.query().index() - run_.judging.excluded_nodes) {
@@ -266,6 +304,7 @@ class Evaluator {
         }
       }
       absl::Status sent;
+      if (run_.asking_from > 0 && !IsFirstLink(first)) continue;
       if (IsRight(first)) {
         ++result_.tally.confirmed;
         v1::AddLoopClosureRequest request;
@@ -286,6 +325,19 @@ class Evaluator {
       if (!sent.ok()) return sent;
     }
     return absl::OkStatus();
+  }
+
+  // Whether a candidate is the first one that is right in its recording, and
+  // the check is one of the asking recording.
+  bool IsFirstLink(const v1::Candidate& candidate) {
+    if (IsInOther(candidate.query()) || !IsRight(candidate)) return false;
+    const auto next = starts_.upper_bound(
+        static_cast<std::size_t>(candidate.matched().sequence()) - 1);
+    if (!linked_.insert(next == starts_.end() ? 0 : next->first).second) {
+      return false;
+    }
+    if (!linked_at_) linked_at_ = candidate.query().index();
+    return true;
   }
 
   absl::Status FetchNodes() {
@@ -351,6 +403,7 @@ class Evaluator {
   const Client& client_;
   const Drive& drive_;
   const std::vector<ClaimedUncertainty>& uncertainty_;
+  const RecordingsOfDrive& starts_;
   const DriveRun& run_;
   Progress progress_;
   std::string vehicle_;
@@ -359,6 +412,10 @@ class Evaluator {
   // Filled as answers come; its tally holds what is counted on the way.
   DriveResult result_;
   std::vector<v1::CandidateSet> unverified_;
+  // The recordings that a verifier has tied to the asking one, and the node of
+  // the first check at which it did.
+  std::set<std::size_t> linked_;
+  std::optional<std::int64_t> linked_at_;
 };
 
 }  // namespace
@@ -366,7 +423,8 @@ class Evaluator {
 absl::StatusOr<DriveResult> EvaluateDrive(
     const std::shared_ptr<grpc::Channel>& channel, const Client& client,
     const Drive& drive, const std::vector<ClaimedUncertainty>& uncertainty,
-    const DriveRun& run, const std::function<void(const v1::Vehicle&)>& created,
+    const RecordingsOfDrive& starts, const DriveRun& run,
+    const std::function<void(const v1::Vehicle&)>& created,
     const Terminal& terminal) {
   for (int attempt = 1;; ++attempt) {
     v1::CreateVehicleRequest create;
@@ -375,7 +433,8 @@ absl::StatusOr<DriveResult> EvaluateDrive(
     const auto answer = client.CreateVehicle(create);
     if (!answer.ok()) return answer.status();
     created(answer->vehicle());
-    Evaluator evaluator(channel, client, drive, uncertainty, run, terminal);
+    Evaluator evaluator(channel, client, drive, uncertainty, starts, run,
+                        terminal);
     auto result = evaluator.Run(answer->vehicle());
     if (result.ok() || evaluator.broken().ok() || attempt == kAttempts) {
       return result;

@@ -16,6 +16,7 @@
 #include "client/revisit/client.h"
 #include "client/terminal/terminal.h"
 #include "client/trajectory/dead_reckoning.h"
+#include "client/trajectory/drive_poses.h"
 #include "revisit/v1/vehicle.pb.h"
 
 namespace grpc {
@@ -39,6 +40,11 @@ struct DriveRun {
   // beyond the next check is sent. Checks and verdicts then follow each other
   // in one order, so that the result is the same every time.
   bool verify = false;
+  // The first sample of the recording that asks, behind all others, whose
+  // candidates in these alone count; 0 where there is one recording. Then a
+  // verifier adds the first candidate that is right in each of the others, and
+  // nothing else, and only checks behind the first one it has added count.
+  std::size_t asking_from = 0;
   // If set, candidates of the recent path (Judging::excluded_nodes) are left
   // out and this many of the others kept, for methods that do not know it.
   std::optional<std::size_t> older_candidates;
@@ -52,7 +58,8 @@ struct DriveRun {
 absl::StatusOr<DriveResult> EvaluateDrive(
     const std::shared_ptr<grpc::Channel>& channel, const Client& client,
     const Drive& drive, const std::vector<ClaimedUncertainty>& uncertainty,
-    const DriveRun& run, const std::function<void(const v1::Vehicle&)>& created,
+    const RecordingsOfDrive& starts, const DriveRun& run,
+    const std::function<void(const v1::Vehicle&)>& created,
     const Terminal& terminal);
 
 }  // namespace revisit::client

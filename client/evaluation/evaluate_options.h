@@ -13,6 +13,7 @@
 #include "client/formats/reader.h"
 #include "client/revisit/channel.h"
 #include "client/trajectory/dead_reckoning.h"
+#include "client/trajectory/recording_starts.h"
 #include "revisit/v1/vehicle.pb.h"
 
 namespace revisit::client {
@@ -37,6 +38,13 @@ struct EvaluateOptions {
   // Whether all files are one drive of one vehicle, one after the other. They
   // must be in one frame.
   bool one_vehicle = false;
+  // If set, with `one_vehicle`: each file is a recording in a frame of its own,
+  // of which so much is known, and each of them once the last one, which asks
+  // for places in the others. The truths of all files are in one frame. kAfter,
+  // kDatum or kUnknown.
+  std::optional<RecordingChoice> recordings;
+  // Draws of the datums of kDatum, with the seeds 1, 2, ...
+  int recording_draws = 3;
   // Where vehicles are made. If absent, a private server is started and
   // stopped.
   std::optional<ChannelOptions> server;
@@ -68,7 +76,8 @@ struct EvaluateOptions {
   // unless flags say otherwise, INDEPENDENT.
   std::optional<FixNoise> fix_noise;
   // Whether to tell the service which accepted candidates are right and which
-  // are wrong.
+  // are wrong. With `recordings`: the first that is right in each of the others
+  // alone, and only checks behind the first of these count.
   bool verify = false;
   // How often everything is done, with the same answers each time. At least 1.
   int repeats = 1;

@@ -18,12 +18,30 @@ std::optional<double> Ratio(double numerator, double denominator) {
 
 bool SameCandidate(const CandidateAnswer& a, const CandidateAnswer& b) {
   return a.matched == b.matched && a.verdict == b.verdict &&
-         a.path_gate == b.path_gate &&
+         a.path_gate == b.path_gate && a.has_gate == b.has_gate &&
          a.squared_distance == b.squared_distance &&
          a.threshold == b.threshold && a.p_value == b.p_value &&
          a.probability == b.probability && a.meters_before == b.meters_before &&
          a.meters_after == b.meters_after && a.opposite == b.opposite &&
          a.confidence == b.confidence;
+}
+
+// The answer without candidates in the asking recording; all of it where there
+// is one recording.
+CheckAnswer WithoutAsking(const CheckAnswer& answer,
+                          std::int64_t first_asking) {
+  CheckAnswer left = answer;
+  if (first_asking == 0) return left;
+  auto& candidates = left.candidates;
+  candidates.erase(std::remove_if(candidates.begin(), candidates.end(),
+                                  [&](const CandidateAnswer& candidate) {
+                                    return candidate.matched >= first_asking;
+                                  }),
+                   candidates.end());
+  if (candidates.empty() && !answer.candidates.empty()) {
+    left.empty_reason = "all are in the recording that asks";
+  }
+  return left;
 }
 
 // Whether is_place(node) for any node between which the place may lie.
@@ -186,6 +204,8 @@ void Tally::Add(const Tally& other) {
   append(&confidences, other.confidences);
   append(&probabilities, other.probabilities);
   append(&search_milliseconds, other.search_milliseconds);
+  new_road_checks += other.new_road_checks;
+  new_road_accepted += other.new_road_accepted;
   confirmed += other.confirmed;
   rejected += other.rejected;
   jumps += other.jumps;
@@ -227,13 +247,22 @@ std::vector<JudgedCheck> Judge(const std::vector<GraphNode>& nodes,
                                const std::vector<CheckAnswer>& answers,
                                const Judging& judging) {
   std::vector<JudgedCheck> checks;
-  for (const CheckAnswer& answer : answers) {
+  const std::int64_t first_asking = judging.first_asking_node;
+  const double begins_at =
+      first_asking < static_cast<std::int64_t>(nodes.size())
+          ? nodes[static_cast<std::size_t>(first_asking)].travelled_meters
+          : 0.0;
+  for (const CheckAnswer& given : answers) {
+    const CheckAnswer answer = WithoutAsking(given, first_asking);
     const auto query = static_cast<std::size_t>(answer.query);
-    if (nodes[query].travelled_meters <
-        judging.first_check_meters - kRounding) {
+    if (answer.query < first_asking || answer.query <= judging.counted_behind ||
+        nodes[query].travelled_meters - (first_asking > 0 ? begins_at : 0.0) <
+            judging.first_check_meters - kRounding) {
       continue;
     }
-    const std::int64_t last = answer.query - judging.excluded_nodes;
+    const std::int64_t last = first_asking > 0
+                                  ? first_asking - 1
+                                  : answer.query - judging.excluded_nodes;
     const PlanarPose& here = truth_at_nodes[query];
     JudgedCheck check;
     for (std::int64_t i = 0; i <= last && !check.true_loop; ++i) {
@@ -242,6 +271,15 @@ std::vector<JudgedCheck> Judge(const std::vector<GraphNode>& nodes,
                          SamePlace(here, there, false, judging)) ||
                         (judging.direction != PassDirection::kSame &&
                          SamePlace(here, there, true, judging));
+    }
+    if (first_asking > 0) {
+      Judging near = judging;
+      near.loop_distance_meters = kNewRoadMeters;
+      check.new_road = std::none_of(
+          truth_at_nodes.begin(), truth_at_nodes.begin() + first_asking,
+          [&](const PlanarPose& there) {
+            return SamePlace(here, there, false, near);
+          });
     }
     for (const CandidateAnswer& candidate : answer.candidates) {
       const auto is_place = [&](std::int64_t node) {
@@ -265,6 +303,8 @@ Tally Count(const std::vector<JudgedCheck>& checks) {
   for (const JudgedCheck& check : checks) {
     ++tally.checks;
     if (check.true_loop) ++tally.true_loops;
+    if (check.new_road) ++tally.new_road_checks;
+    if (check.new_road && check.accepted()) ++tally.new_road_accepted;
     if (check.accepted()) ++tally.accepted;
     if (check.accepted() && check.top_correct()) ++tally.accepted_correct;
     if (check.top_correct()) ++tally.top1_correct;

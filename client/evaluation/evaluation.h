@@ -19,6 +19,12 @@
 //   sure recall = first candidate correct and stated at 0.9 or more / true
 //                 loops, verdict aside
 //
+// Where a drive has several recordings (Judging::first_asking_node), the last
+// one asks: only its checks count, the nodes of the others take the place of
+// the nodes 0 to i - K, and candidates in its own recording are left out. A
+// check is at a NEW ROAD if none of these nodes lies within
+// kNewRoadMeters of its true place and heads within the angle of one place.
+//
 // A candidate also says between which nodes the place lies. It HOLDS the place
 // if one of these nodes is the same place:
 //
@@ -60,6 +66,9 @@ struct CandidateAnswer {
   // The gate that the verdict rests on: that of the whole path, otherwise that
   // of its end.
   bool path_gate = false;
+  // Whether there is a gate at all: not where nothing tells how two frames lie
+  // to each other.
+  bool has_gate = true;
   double squared_distance = 0.0;
   double threshold = 0.0;
   double p_value = 0.0;
@@ -112,11 +121,20 @@ struct Judging {
   // Whether checks before the first true loop do not count, so that figures are
   // about a route that has been driven once.
   bool only_revisited = false;
+  // The first node of the recording that asks; 0 where there is one recording.
+  std::int64_t first_asking_node = 0;
+  // Only checks at nodes behind this one count.
+  std::int64_t counted_behind = -1;
 };
+
+// How far away any other road of its heading is from a new one.
+inline constexpr double kNewRoadMeters = 40.0;
 
 struct JudgedCheck {
   CheckAnswer answer;
   bool true_loop = false;
+  // Only told where several recordings are.
+  bool new_road = false;
   // One for each candidate: whether it is correct, and whether it holds the
   // place, as all correct ones do.
   std::vector<bool> correct;
@@ -157,6 +175,10 @@ struct Tally {
   // First candidates: their confidence, and their probability where stated.
   std::vector<Scored> confidences;
   std::vector<Scored> probabilities;
+  // Where several recordings are: checks at new roads, and those of them at
+  // which the first candidate was accepted.
+  std::int64_t new_road_checks = 0;
+  std::int64_t new_road_accepted = 0;
   // Candidates that the verifier confirmed and rejected.
   std::int64_t confirmed = 0;
   std::int64_t rejected = 0;

@@ -20,14 +20,18 @@ struct Row {
   Tally tally;
   // The mean over the results that the row holds.
   std::optional<double> inflation;
+  // The mean over those that a verifier has tied to another recording.
+  std::optional<double> linked_after_meters;
 };
 
-std::optional<double> MeanInflation(const std::vector<const DriveResult*>& of) {
+// The mean of what there is of a number.
+std::optional<double> MeanOf(const std::vector<const DriveResult*>& of,
+                             std::optional<double> DriveResult::*number) {
   double sum = 0.0;
   int count = 0;
   for (const DriveResult* result : of) {
-    if (!result->inflation.has_value()) continue;
-    sum += *result->inflation;
+    if (!(result->*number).has_value()) continue;
+    sum += *(result->*number);
     ++count;
   }
   if (count == 0) return std::nullopt;
@@ -39,7 +43,8 @@ Row MakeRow(const std::string& name,
   Row row;
   row.drive = name;
   for (const DriveResult* result : of) row.tally.Add(result->tally);
-  row.inflation = MeanInflation(of);
+  row.inflation = MeanOf(of, &DriveResult::inflation);
+  row.linked_after_meters = MeanOf(of, &DriveResult::linked_after_meters);
   return row;
 }
 
@@ -105,7 +110,8 @@ Fields RankingFields(const Tally& t) {
                                   " m for the ", t.loops_seen, " loops seen")}};
 }
 
-void PrintSummary(const Row& row, bool verified, std::ostream& out) {
+void PrintSummary(const Row& row, bool verified, bool recordings,
+                  std::ostream& out) {
   const Tally& t = row.tally;
   Fields fields = {
       {"drive", row.drive},
@@ -124,6 +130,15 @@ void PrintSummary(const Row& row, bool verified, std::ostream& out) {
   if (t.calibration_error().has_value()) {
     fields.push_back({"ECE p>=0.1", OrDash(t.positive_calibration_error(), 3)});
     fields.push_back({"ECE", OrDash(t.calibration_error(), 3)});
+  }
+  if (recordings) {
+    fields.push_back(
+        {"new roads", absl::StrCat(t.new_road_checks, " checks, ",
+                                   t.new_road_accepted, " accepted")});
+  }
+  if (recordings && verified) {
+    fields.push_back({"linked after",
+                      absl::StrCat(OrDash(row.linked_after_meters, 0), " m")});
   }
   if (verified) {
     fields.push_back({"verified", absl::StrCat(t.confirmed, " confirmed, ",
@@ -151,6 +166,14 @@ std::vector<Table::Column> ColumnsOf(const Report& report) {
         "P INTERVAL", "R INTERVAL", "TOP-1", "RECALL@5", "RECALL p>=0.9",
         "VERIFY/LOOP", "LOOKS/LOOP", "ECE p>=0.1", "ECE"}) {
     columns.push_back({title, Align::kRight});
+  }
+  if (report.recordings) {
+    for (const char* title : {"NEW ROADS", "ACCEPTED THERE"}) {
+      columns.push_back({title, Align::kRight});
+    }
+  }
+  if (report.recordings && report.verified) {
+    columns.push_back({"LINKED AFTER m", Align::kRight});
   }
   if (report.verified) {
     for (const char* title : {"CONFIRMED", "REJECTED", "INFLATION"}) {
@@ -185,6 +208,13 @@ std::vector<std::string> CellsOf(const Report& report,
   cells.push_back(OrDash(t.looks_per_loop(), 2));
   cells.push_back(OrDash(t.positive_calibration_error(), 3));
   cells.push_back(OrDash(t.calibration_error(), 3));
+  if (report.recordings) {
+    cells.push_back(absl::StrCat(t.new_road_checks));
+    cells.push_back(absl::StrCat(t.new_road_accepted));
+  }
+  if (report.recordings && report.verified) {
+    cells.push_back(OrDash(row.linked_after_meters, 0));
+  }
   if (report.verified) {
     cells.push_back(absl::StrCat(t.confirmed));
     cells.push_back(absl::StrCat(t.rejected));
@@ -247,6 +277,8 @@ Json TallyJson(const std::string& drive, const Tally& t) {
   json["looks_per_loop_seen"] = OrNull(t.looks_per_loop());
   json["positive_calibration_error"] = OrNull(t.positive_calibration_error());
   json["expected_calibration_error"] = OrNull(t.calibration_error());
+  json["new_road_checks"] = t.new_road_checks;
+  json["new_road_accepted"] = t.new_road_accepted;
   json["confirmed"] = t.confirmed;
   json["rejected"] = t.rejected;
   json["jumps"] = t.jumps;
@@ -276,10 +308,15 @@ Json ChecksJson(const DriveResult& result) {
       item["matched_node"] = candidate.matched;
       item["matched_travelled_meters"] = travelled(candidate.matched);
       item["direction"] = candidate.opposite ? "OPPOSITE" : "SAME";
-      item["gate"] = candidate.path_gate ? "path" : "end";
-      item["squared_mahalanobis_distance"] = candidate.squared_distance;
-      item["threshold"] = candidate.threshold;
-      item["p_value"] = candidate.p_value;
+      const bool gated = candidate.has_gate;
+      item["gate"] = !gated ? "none" : candidate.path_gate ? "path" : "end";
+      const auto if_gated = [gated](double value) {
+        return gated ? Json(value) : Json(nullptr);
+      };
+      item["squared_mahalanobis_distance"] =
+          if_gated(candidate.squared_distance);
+      item["threshold"] = if_gated(candidate.threshold);
+      item["p_value"] = if_gated(candidate.p_value);
       item["probability"] = OrNull(candidate.probability);
       item["meters_before"] = candidate.meters_before;
       item["meters_after"] = candidate.meters_after;
@@ -299,6 +336,7 @@ Json DrivesJson(const MethodResult& method, bool with_checks) {
     drive["seed"] =
         result.seed.has_value() ? Json(*result.seed) : Json(nullptr);
     drive["inflation"] = OrNull(result.inflation);
+    drive["linked_after_meters"] = OrNull(result.linked_after_meters);
     if (with_checks) drive["check_list"] = ChecksJson(result);
     drives.push_back(std::move(drive));
   }
@@ -383,11 +421,18 @@ void PrintChecks(const DriveResult& result, std::ostream& out,
       continue;
     }
     const CandidateAnswer& best = check.answer.candidates[0];
+    const auto if_gated = [&best](double value, int digits) {
+      return best.has_gate ? Fixed(value, digits) : "-";
+    };
     table.AddRow({absl::StrCat(number), travelled(check.answer.query),
-                  travelled(best.matched), best.path_gate ? "path" : "end",
-                  Fixed(best.squared_distance, 2), Fixed(best.threshold, 2),
-                  Fixed(best.p_value, 4), OrDash(best.probability, 4),
-                  NameOf(best.verdict), OutcomeOf(check)});
+                  travelled(best.matched),
+                  !best.has_gate   ? "none"
+                  : best.path_gate ? "path"
+                                   : "end",
+                  if_gated(best.squared_distance, 2),
+                  if_gated(best.threshold, 2), if_gated(best.p_value, 4),
+                  OrDash(best.probability, 4), NameOf(best.verdict),
+                  OutcomeOf(check)});
   }
   out << result.drive << ": the best candidate of each check\n";
   table.Print(out, width);
@@ -397,7 +442,7 @@ void PrintChecks(const DriveResult& result, std::ostream& out,
 void PrintReport(const Report& report, std::ostream& out, std::size_t width) {
   const MethodResult& main = report.methods[report.main];
   if (report.methods.size() == 1 && RowsOf(main).size() == 1) {
-    PrintSummary(RowsOf(main)[0], report.verified, out);
+    PrintSummary(RowsOf(main)[0], report.verified, report.recordings, out);
   } else {
     PrintTable(report, out, width);
   }

@@ -26,6 +26,9 @@ struct DriveResult {
   std::vector<CheckAnswer> answers;
   std::vector<JudgedCheck> checks;
   Tally tally;
+  // How far the asking recording went until a verifier tied it to another one;
+  // absent where none did.
+  std::optional<double> linked_after_meters;
   // Vehicle.consistency at the end, where a verifier took part.
   std::optional<double> inflation;
 };
@@ -52,6 +55,8 @@ struct Report {
   std::size_t main = 0;
   // Whether a verifier took part.
   bool verified = false;
+  // Whether drives are recordings of one vehicle, of which one asks.
+  bool recordings = false;
   int repeats = 1;
   // Printed below the tables.
   std::vector<std::string> notes;

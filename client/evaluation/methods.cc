@@ -159,7 +159,21 @@ std::vector<std::string> NotesOn(const EvaluateOptions& options) {
     notes.push_back(
         "No belief: every search begins with the covariances as claimed.");
   }
-  if (options.verify) {
+  if (options.recordings.has_value()) {
+    notes.push_back(absl::StrCat(
+        "Recordings: each drive once the last one of a vehicle, in a frame of "
+        "its own behind those of the others; only places in these count.",
+        options.recordings->kind == RecordingChoice::Kind::kDatum
+            ? absl::StrCat(" Datums: drawn about the true starts, ",
+                           options.recording_draws, " draws.")
+            : ""));
+  }
+  if (options.verify && options.recordings.has_value()) {
+    notes.push_back(
+        "Verified: the first accepted candidate that is right in each other "
+        "recording became a loop closure, without a measurement; only checks "
+        "behind the first of these count.");
+  } else if (options.verify) {
     notes.push_back(
         "Verified: accepted first candidates that are right became loop "
         "closures, wrong ones were rejected.");

@@ -154,6 +154,7 @@ class Evaluation {
   absl::Status Run() {
     Report report;
     report.verified = options_.verify;
+    report.recordings = options_.recordings.has_value();
     report.repeats = options_.repeats;
     report.notes = NotesOn(options_);
     methods_ = ChooseMethods(options_, &report.main);
@@ -173,8 +174,10 @@ class Evaluation {
           "Repeated: ", options_.repeats,
           " times, all answers the same; timings are over all of them."));
     }
-    NoteOppositePasses(report.methods[report.main], options_.judging,
-                       &report.notes);
+    if (!report.recordings) {
+      NoteOppositePasses(report.methods[report.main], options_.judging,
+                         &report.notes);
+    }
     return WriteOut(report);
   }
 
@@ -245,6 +248,7 @@ class Evaluation {
     run.judging = method.judging;
     run.exhaustive = options_.exhaustive;
     run.verify = options_.verify;
+    run.asking_from = one.asking_from;
     if (method.source == Method::Source::kServiceBeyondRecentPath) {
       run.older_candidates = static_cast<std::size_t>(
           std::max(1, options_.settings.max_candidates()));
@@ -255,8 +259,8 @@ class Evaluation {
         undoing_->AddVehicle(vehicle.name());
       }
     };
-    auto result = EvaluateDrive(channel_, client_, one.drive, uncertainty, run,
-                                created, terminal_);
+    auto result = EvaluateDrive(channel_, client_, one.drive, uncertainty,
+                                one.starts, run, created, terminal_);
     if (!result.ok()) return result.status();
     if (absl::Status deleted = undoing_->DeleteVehicles(); !deleted.ok()) {
       return deleted;

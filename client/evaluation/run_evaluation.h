@@ -19,8 +19,10 @@ namespace revisit::client {
 // positive_calibration_error (of what is stated at 0.1 or more),
 // expected_calibration_error, confirmed, rejected, jumps, query_ms_p50,
 // query_ms_p99, poses, poses_per_second; null where there is nothing to divide
-// by. Drives have seed and inflation too, null where there
-// is none, and with `verbose` check_list. `drives` and `total` are those of the
+// by. Drives have seed, inflation and linked_after_meters too, null where there
+// is none, and with `verbose` check_list. Where drives are recordings of one
+// vehicle, new_road_checks and new_road_accepted tell of places that no other
+// one has been at (evaluation.h). `drives` and `total` are those of the
 // settings; each of `methods` has method, sequence_length_meters,
 // claimed_scale (null unless claims are swept), drives, total, precision_recall
 // (a list of threshold, precision, recall) and reliability (null, or a list of

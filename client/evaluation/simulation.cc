@@ -236,4 +236,15 @@ absl::StatusOr<std::vector<std::uint64_t>> ParseSeeds(const std::string& text) {
   }
 }
 
+PlanarPose DrawDatum(const Drive& drive, double meters, double radians,
+                     std::uint64_t seed) {
+  // A source of its own, so that an estimate drawn with this seed has others.
+  NormalSource normal(seed ^ HashOf(drive.name + ", datum"));
+  PlanarPose start = drive.truth.front();
+  start.x += meters * normal.Next();
+  start.y += meters * normal.Next();
+  start.heading += radians * normal.Next();
+  return Compound(start, Between(drive.samples.front().estimate, PlanarPose()));
+}
+
 }  // namespace revisit::client

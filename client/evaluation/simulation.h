@@ -85,6 +85,13 @@ Drive SimulateFixes(const Drive& drive, const FixNoise& noise,
 // seed that stands twice, and for more than 1000 seeds.
 absl::StatusOr<std::vector<std::uint64_t>> ParseSeeds(const std::string& text);
 
+// The pose of a drive's frame in that of its truth, as somebody would have
+// placed it who erred at the drive's start: by independent normal errors of
+// these standard deviations, in metres in x and y and in radians. The same seed
+// and drive give the same errors, whatever else is drawn. REQUIRES: truth.
+PlanarPose DrawDatum(const Drive& drive, double meters, double radians,
+                     std::uint64_t seed);
+
 }  // namespace revisit::client
 
 #endif  // REVISIT_CLIENT_EVALUATION_SIMULATION_H_

@@ -13,12 +13,18 @@ namespace {
 
 constexpr double kQuaternionTolerance = 1e-3;
 
-// The next line that is neither blank nor a comment.
-bool NextLine(Lines* lines, std::vector<std::string_view>* fields) {
+// The next line that is neither blank nor a comment. What the last comment
+// before it says of a recording that begins is put into `recording_start`.
+bool NextLine(Lines* lines, std::vector<std::string_view>* fields,
+              std::optional<std::string>* recording_start = nullptr) {
   std::string_view line;
   do {
     if (!lines->Next(&line)) return false;
     *fields = SplitAtBlanks(line);
+    if (recording_start != nullptr &&
+        line.substr(0, kRecordingMark.size()) == kRecordingMark) {
+      *recording_start = line.substr(kRecordingMark.size());
+    }
   } while (fields->empty() || (*fields)[0][0] == '#');
   return true;
 }
@@ -31,7 +37,10 @@ class TumReader : public SampleReader {
   absl::StatusOr<std::optional<Sample>> Next() override {
     constexpr std::array<const char*, 7> kNames = {"x",  "y",  "z", "qx",
                                                    "qy", "qz", "qw"};
-    if (!NextLine(lines_.get(), &fields_)) return EndOf(*lines_);
+    std::optional<std::string> recording_start;
+    if (!NextLine(lines_.get(), &fields_, &recording_start)) {
+      return EndOf(*lines_);
+    }
     if (fields_.size() != kNames.size() + 1) {
       return lines_->Error(absl::StrCat(
           "expected 8 fields \"t x y z qx qy qz qw\", got ", fields_.size()));
@@ -50,6 +59,7 @@ class TumReader : public SampleReader {
     sample.estimate = {values[0], values[1], 0.0};
     sample.z = values[2];
     sample.quaternion = {values[3], values[4], values[5], values[6]};
+    sample.recording_start = std::move(recording_start);
     if (absl::Status status = CheckPose(sample, *lines_); !status.ok()) {
       return status;
     }

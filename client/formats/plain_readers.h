@@ -4,12 +4,17 @@
 
 #include <memory>
 #include <optional>
+#include <string_view>
 
 #include "absl/status/statusor.h"
 #include "client/formats/reader.h"
 #include "client/formats/text_lines.h"
 
 namespace revisit::client {
+
+// Begins a comment of a TUM file that says how the recording starts whose first
+// pose is on the next line: a revisit.v1.RecordingStart follows, as JSON.
+inline constexpr std::string_view kRecordingMark = "# recording ";
 
 absl::StatusOr<std::unique_ptr<SampleReader>> ReadTum(
     std::unique_ptr<Lines> lines, const ReaderOptions& options);

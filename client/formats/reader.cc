@@ -13,6 +13,7 @@
 #include "client/formats/gnss_readers.h"
 #include "client/formats/plain_readers.h"
 #include "client/formats/plausibility.h"
+#include "client/formats/restart_watch.h"
 #include "client/formats/text_lines.h"
 
 namespace revisit::client {
@@ -269,6 +270,7 @@ absl::StatusOr<std::unique_ptr<SampleReader>> ReadSamples(
                                            options);
   }
   reader = std::make_unique<PreparedReader>(*std::move(reader), path, options);
+  if (*format == Format::kRos) reader = MarkRestarts(*std::move(reader));
   if (!options.keep_without_heading) reader = AddCourse(*std::move(reader));
   return reader;
 }

@@ -5,6 +5,7 @@
 #include <array>
 #include <cstdint>
 #include <optional>
+#include <string>
 
 #include "client/formats/geodetic.h"
 
@@ -54,6 +55,11 @@ struct Sample {
   std::optional<std::array<double, 36>> covariance_36;
   // v1::Pose.error_transition of a planar vehicle.
   std::optional<std::array<double, 9>> error_transition;
+  // Whether an odometry began anew here, in a frame of its own.
+  bool restarts = false;
+  // A revisit.v1.RecordingStart as JSON, where the file says that a recording
+  // begins here (plain_readers.h).
+  std::optional<std::string> recording_start;
   std::optional<PlanarPose> truth;
   // The height of the truth.
   std::optional<double> truth_z;

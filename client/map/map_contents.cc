@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "client/map/svg.h"
+
 namespace revisit::client {
 namespace {
 
@@ -10,6 +12,20 @@ namespace {
 constexpr double kEllipseScale = 5.991464547107979;
 
 }  // namespace
+
+std::vector<MapStretch> StretchesOf(const MapContents& contents) {
+  const std::size_t nodes = contents.nodes.size();
+  const auto& recordings = contents.recordings;
+  if (recordings.empty()) return {{0, nodes, kMapEstimate}};
+  std::vector<MapStretch> stretches;
+  for (std::size_t k = 0; k < recordings.size(); ++k) {
+    stretches.push_back(
+        {recordings[k].first_node,
+         k + 1 < recordings.size() ? recordings[k + 1].first_node : nodes,
+         recordings[k].color});
+  }
+  return stretches;
+}
 
 bool IsCutBefore(const std::vector<MapNode>& nodes, std::size_t index) {
   if (index == 0) return false;

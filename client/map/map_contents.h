@@ -55,11 +55,15 @@ struct MapCandidate {
   std::optional<double> probability;
   double meters_before = 0.0;
   double meters_after = 0.0;
-  // The gate that decided: "end" or "path".
+  // The gate that decided: "end" or "path"; "none" where nothing tells how the
+  // frames lie to each other, and then the numbers mean nothing.
   std::string gate;
   double squared_distance = 0.0;
   double threshold = 0.0;
   double p_value = 0.0;
+  // How the frame of its recording is tied to that of the check's, as
+  // v1::FrameState names it; empty where that is not told.
+  std::string frame_state = "";
 };
 
 struct MapCheck {
@@ -83,10 +87,24 @@ struct MapPair {
   std::string note;
 };
 
+// A stretch of nodes that were recorded in one frame.
+struct MapRecording {
+  // Index of its first node.
+  std::size_t first_node = 0;
+  // For the legend: which one it is, and how well it is known where it lies.
+  std::string label;
+  // As MapStyle.color.
+  std::string color;
+};
+
 struct MapContents {
   std::string title;
   std::string subtitle;
+  // In one frame, but for recordings that nothing ties to it, which lie beside
+  // the others.
   std::vector<MapNode> nodes;
+  // One behind the other, from the first node on; empty where there is one.
+  std::vector<MapRecording> recordings;
   // One for each node, in the frame of the estimate; empty if it is not known.
   std::vector<MapPoint> truth;
   std::vector<MapStyle> styles;
@@ -94,6 +112,15 @@ struct MapContents {
   std::vector<MapPair> closures;
   std::vector<MapPair> rejections;
 };
+
+// The nodes of each recording: the first one, and the one behind the last; all
+// of them where there is one recording.
+struct MapStretch {
+  std::size_t begin = 0;
+  std::size_t end = 0;
+  std::string color;
+};
+std::vector<MapStretch> StretchesOf(const MapContents& contents);
 
 // Whether the trajectory is cut before this node: a jump adds no distance.
 bool IsCutBefore(const std::vector<MapNode>& nodes, std::size_t index);

@@ -65,11 +65,16 @@ Json CheckJson(const MapContents& contents, const MapCheck& check) {
       {"empty_reason", check.empty_reason},
       {"candidates", Json::array()}};
   for (const MapCandidate& candidate : check.candidates) {
-    Json shown = {
-        {"node", candidate.node},           {"verdict", candidate.verdict},
-        {"opposite", candidate.opposite},   {"gate", candidate.gate},
-        {"d2", candidate.squared_distance}, {"threshold", candidate.threshold},
-        {"p_value", candidate.p_value}};
+    Json shown = {{"node", candidate.node},
+                  {"verdict", candidate.verdict},
+                  {"opposite", candidate.opposite},
+                  {"gate", candidate.gate}};
+    if (candidate.gate != "none") {
+      shown["d2"] = candidate.squared_distance;
+      shown["threshold"] = candidate.threshold;
+      shown["p_value"] = candidate.p_value;
+    }
+    if (!candidate.frame_state.empty()) shown["frame"] = candidate.frame_state;
     if (candidate.probability) {
       shown["probability"] = *candidate.probability;
       shown["before"] = candidate.meters_before;
@@ -101,6 +106,12 @@ Json ContentsJson(const MapContents& contents) {
                     {"closure", kMapClosure},
                     {"rejection", kMapRejection}};
   json["nodes"] = NodesJson(contents.nodes);
+  json["recordings"] = Json::array();
+  for (const MapRecording& recording : contents.recordings) {
+    json["recordings"].push_back({{"node", recording.first_node},
+                                  {"label", Printable(recording.label)},
+                                  {"color", recording.color}});
+  }
   json["truth"] = TruthJson(contents.truth);
   json["styles"] = Json::array();
   for (const MapStyle& style : contents.styles) {

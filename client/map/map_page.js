@@ -1,7 +1,7 @@
 // The script of map_page.html: draws the map, moves it, shows numbers.
 "use strict";
 const data = JSON.parse(document.getElementById("data").textContent);
-const { nodes, checks, styles, closures, rejections, truth, colors } = data;
+const { nodes, recordings, checks, styles, closures, rejections, truth, colors } = data;
 const canvas = document.getElementById("map");
 const pen = canvas.getContext("2d");
 const panel = document.getElementById("panel");
@@ -74,11 +74,18 @@ function zoom(factor, px, py) {
 
 // ---- Drawing
 
-function path(xs, ys, color, width) {
+// The nodes of each recording with their colour; all nodes where there is one.
+const stretches = recordings.length === 0
+  ? [{ begin: 0, end: nodes.x.length, color: colors.estimate }]
+  : recordings.map((recording, k) => ({
+    begin: recording.node, color: recording.color,
+    end: k + 1 < recordings.length ? recordings[k + 1].node : nodes.x.length }));
+
+function path(xs, ys, begin, end, color, width) {
   pen.beginPath();
-  for (let i = 0; i < xs.length; ++i) {
+  for (let i = begin; i < end; ++i) {
     const [x, y] = toPixels(xs[i], ys[i]);
-    if (nodes.cut[i]) pen.moveTo(x, y); else pen.lineTo(x, y);
+    if (i === begin || nodes.cut[i]) pen.moveTo(x, y); else pen.lineTo(x, y);
   }
   pen.strokeStyle = color;
   pen.lineWidth = width;
@@ -87,12 +94,12 @@ function path(xs, ys, color, width) {
 
 // Where the vehicle goes: heads of arrows along the path, some way apart on the
 // screen.
-function arrows() {
+function arrows(begin, end, color) {
   const [apart, step] = [150, 6];
   let since = apart / 2;
-  let [px, py] = atNode(0);
-  pen.fillStyle = colors.estimate;
-  for (let i = 1; i < nodes.x.length; ++i) {
+  let [px, py] = atNode(begin);
+  pen.fillStyle = color;
+  for (let i = begin + 1; i < end; ++i) {
     const [x, y] = atNode(i);
     if (nodes.cut[i]) [px, py] = [x, y];
     const [dx, dy] = [x - px, y - py];
@@ -235,10 +242,12 @@ function draw() {
   pen.fillRect(0, 0, width, height);
   const visible = checks.filter((check) => shown.styles[check.style]);
   if (shown.ellipses) visible.forEach((check) => ellipse(check, false));
-  if (truth && shown.truth) path(truth.x, truth.y, colors.truth, 1.2);
+  if (truth && shown.truth) path(truth.x, truth.y, 0, truth.x.length, colors.truth, 1.2);
   const size = markSize();
-  path(nodes.x, nodes.y, colors.estimate, 0.8 + 1.2 * size);
-  arrows();
+  for (const { begin, end, color } of stretches) {
+    path(nodes.x, nodes.y, begin, end, color, 0.8 + 1.2 * size);
+    arrows(begin, end, color);
+  }
   if (shown.rejections) rejections.forEach((p) => pair(p.query, p.matched, false));
   if (shown.closures) closures.forEach((p) => pair(p.query, p.matched, true));
   for (const check of visible) {
@@ -275,6 +284,9 @@ function openPanel(title, ...parts) {
   draw();
 }
 
+// Nothing tells a distance where nothing tells how two frames lie to each other.
+const fixed = (number, digits) => (number === undefined ? "-" : number.toFixed(digits));
+
 const columns = [
   ["", (c, i) => i + 1],
   ["verdict", (c) => c.verdict, "word"],
@@ -284,12 +296,14 @@ const columns = [
   ["sequence", (c) => nodes.sequence[c.node]],
   ["travelled m", (c) => nodes.travelled[c.node].toFixed(1)],
   ["direction", (c) => (c.opposite ? "opposite" : "same"), "word"],
+  ["frame", (c) => (c.frame ? c.frame.toLowerCase() : "-"), "word"],
   ["gate", (c) => c.gate, "word"],
-  ["d2", (c) => c.d2.toFixed(2)],
-  ["threshold", (c) => c.threshold.toFixed(2)],
-  ["p-value", (c) => c.p_value.toFixed(4)],
+  ["d2", (c) => fixed(c.d2, 2)],
+  ["threshold", (c) => fixed(c.threshold, 2)],
+  ["p-value", (c) => fixed(c.p_value, 4)],
   ["time", (c) => nodes.time[c.node], "word"],
-].filter(([name]) => name !== "time" || nodes.time);
+].filter(([name]) => (name !== "time" || nodes.time) &&
+                     (name !== "frame" || recordings.length > 0));
 
 function candidateTable(check) {
   const table = element("table");
@@ -372,7 +386,17 @@ function legendEntry(text, draw_, set) {
 const sampleLine = (color, width, dash) =>
   `<line x1="2" y1="7" x2="32" y2="7" stroke="${color}" stroke-width="${width}" ` +
   `stroke-dasharray="${dash}"/>`;
-legendEntry("estimated trajectory", sampleLine(colors.estimate, 2, ""), null);
+if (recordings.length === 0) {
+  legendEntry("estimated trajectory", sampleLine(colors.estimate, 2, ""), null);
+}
+// The newest ones; the window holds no more.
+const named = recordings.slice(-8);
+if (named.length < recordings.length) {
+  legendEntry(`${recordings.length - named.length} recordings before these`,
+              sampleLine(colors.estimate, 0, ""), null);
+}
+named.forEach((recording) => legendEntry(
+  recording.label, sampleLine(recording.color, 2, ""), null));
 if (truth) {
   legendEntry("true trajectory", sampleLine(colors.truth, 1.2, ""), (on) => { shown.truth = on; });
 }

@@ -116,12 +116,14 @@ class Drawing {
     DrawEllipses();
     const auto& nodes = contents_.nodes;
     if (!contents_.truth.empty()) {
-      Polyline([&](std::size_t i) { return contents_.truth[i]; }, kMapTruth,
-               1.2);
+      Polyline([&](std::size_t i) { return contents_.truth[i]; },
+               {0, nodes.size(), kMapTruth}, 1.2);
     }
-    Polyline([&](std::size_t i) { return nodes[i].at; }, kMapEstimate,
-             0.8 + 1.2 * view_.mark_size);
-    DrawArrows();
+    for (const MapStretch& stretch : StretchesOf(contents_)) {
+      Polyline([&](std::size_t i) { return nodes[i].at; }, stretch,
+               0.8 + 1.2 * view_.mark_size);
+      DrawArrows(stretch);
+    }
     for (const MapPair& pair : contents_.rejections) {
       DrawPair(AtNode(pair.query), AtNode(pair.matched), false,
                view_.mark_size);
@@ -157,17 +159,16 @@ class Drawing {
   // One point per node. Breaks where the trajectory was cut, and leaves out
   // points too near to see.
   void Polyline(const std::function<MapPoint(std::size_t)>& point,
-                const char* color, double width) {
+                const MapStretch& stretch, double width) {
     constexpr double kVisible = 0.8;
-    svg_ += "<path fill=\"none\" stroke=\"" + std::string(color) +
+    svg_ += "<path fill=\"none\" stroke=\"" + stretch.color +
             "\" stroke-width=\"" + SvgNumber(width) +
             "\" stroke-linejoin=\"round\" stroke-linecap=\"round\" d=\"";
     PixelPoint last;
-    const std::size_t count = contents_.nodes.size();
-    for (std::size_t i = 0; i < count; ++i) {
+    for (std::size_t i = stretch.begin; i < stretch.end; ++i) {
       const PixelPoint at = view_.At(point(i));
-      const bool begins = i == 0 || IsCutBefore(contents_.nodes, i);
-      if (!begins && i + 1 < count &&
+      const bool begins = i == stretch.begin || IsCutBefore(contents_.nodes, i);
+      if (!begins && i + 1 < stretch.end &&
           std::hypot(at.x - last.x, at.y - last.y) < kVisible) {
         continue;
       }
@@ -178,12 +179,12 @@ class Drawing {
   }
 
   // Where the vehicle goes: heads of arrows along the path, some way apart.
-  void DrawArrows() {
+  void DrawArrows(const MapStretch& stretch) {
     constexpr double kApart = 150.0;
     constexpr double kStep = 6.0;
     double since = 0.5 * kApart;
-    PixelPoint last = AtNode(0);
-    for (std::size_t i = 1; i < contents_.nodes.size(); ++i) {
+    PixelPoint last = AtNode(stretch.begin);
+    for (std::size_t i = stretch.begin + 1; i < stretch.end; ++i) {
       const PixelPoint at = AtNode(i);
       if (IsCutBefore(contents_.nodes, i)) last = at;
       const double length = std::hypot(at.x - last.x, at.y - last.y);
@@ -192,23 +193,25 @@ class Drawing {
       if (since >= kApart) {
         since = 0.0;
         DrawArrow({0.5 * (at.x + last.x), 0.5 * (at.y + last.y)},
-                  {(at.x - last.x) / length, (at.y - last.y) / length});
+                  {(at.x - last.x) / length, (at.y - last.y) / length},
+                  stretch.color);
       }
       last = at;
     }
   }
 
   // `ahead` has length 1.
-  void DrawArrow(const PixelPoint& at, const PixelPoint& ahead) {
+  void DrawArrow(const PixelPoint& at, const PixelPoint& ahead,
+                 const std::string& color) {
     constexpr double kHead = 7.0;
     constexpr double kTail = 5.0;
     const auto corner = [&](double forward, double left) {
       return SvgNumber(at.x + forward * ahead.x + left * ahead.y) + " " +
              SvgNumber(at.y + forward * ahead.y - left * ahead.x);
     };
-    svg_ += "<path class=\"arrow\" fill=\"" + std::string(kMapEstimate) +
-            "\" d=\"M" + corner(kHead, 0.0) + "L" + corner(-kTail, kTail) +
-            "L" + corner(-kTail, -kTail) + "Z\"/>\n";
+    svg_ += "<path class=\"arrow\" fill=\"" + color + "\" d=\"M" +
+            corner(kHead, 0.0) + "L" + corner(-kTail, kTail) + "L" +
+            corner(-kTail, -kTail) + "Z\"/>\n";
   }
 
   void DrawGrid() {
@@ -346,9 +349,26 @@ class Drawing {
 
   std::vector<LegendEntry> LegendEntries() {
     std::vector<LegendEntry> entries;
-    entries.push_back({"estimated trajectory", [this](const PixelPoint& at) {
-                         Line(at, RightEnd(at), kMapEstimate, 2.0, "");
-                       }});
+    const auto& recordings = contents_.recordings;
+    if (recordings.empty()) {
+      entries.push_back({"estimated trajectory", [this](const PixelPoint& at) {
+                           Line(at, RightEnd(at), kMapEstimate, 2.0, "");
+                         }});
+    }
+    // The newest ones; a legend of hundreds is none.
+    constexpr std::size_t kMostNamed = 9;
+    const std::size_t unnamed =
+        recordings.size() > kMostNamed ? recordings.size() - kMostNamed : 0;
+    if (unnamed > 0) {
+      entries.push_back({absl::StrCat(unnamed, " recordings before these"),
+                         [](const PixelPoint&) {}});
+    }
+    for (std::size_t k = unnamed; k < recordings.size(); ++k) {
+      entries.push_back({recordings[k].label, [this, k](const PixelPoint& at) {
+                           Line(at, RightEnd(at),
+                                contents_.recordings[k].color.c_str(), 2.0, "");
+                         }});
+    }
     if (!contents_.truth.empty()) {
       entries.push_back({"true trajectory", [this](const PixelPoint& at) {
                            Line(at, RightEnd(at), kMapTruth, 1.2, "");

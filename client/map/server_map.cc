@@ -11,6 +11,7 @@
 #include "absl/strings/str_cat.h"
 #include "client/answers/candidate_text.h"
 #include "client/answers/names.h"
+#include "client/map/recording_places.h"
 #include "client/revisit/backoff.h"
 #include "client/revisit/status.h"
 #include "client/trajectory/stored_poses.h"
@@ -114,6 +115,9 @@ MapCandidate CandidateOf(const v1::Candidate& candidate) {
   if (candidate.has_probability()) shown.probability = candidate.probability();
   shown.meters_before = candidate.place_interval().meters_before();
   shown.meters_after = candidate.place_interval().meters_after();
+  if (candidate.frame_state() != v1::FRAME_STATE_UNSPECIFIED) {
+    shown.frame_state = NameOf(candidate.frame_state());
+  }
   shown.gate = gate.name();
   shown.squared_distance = gate.squared_distance;
   shown.threshold = gate.threshold;
@@ -153,6 +157,10 @@ void Name(const std::string& vehicle, ServerMap* map) {
       absl::StrCat(Fixed(contents.nodes.back().travelled_meters / 1000.0, 1),
                    " km, ", map->vehicle.durable_sequence(),
                    " poses, revision ", map->vehicle.revision());
+  if (!contents.recordings.empty()) {
+    absl::StrAppend(&contents.subtitle, ", ", contents.recordings.size(),
+                    " recordings");
+  }
 }
 
 // The nodes at which a stream's checks fall due.
@@ -245,6 +253,11 @@ absl::StatusOr<ServerMap> ReadServerMap(const Client& client,
     return LocalError(absl::FailedPreconditionError(absl::StrCat(
         vehicle, ": there is nothing to draw, the pose graph is empty")));
   }
+  const auto recordings = ReadRecordings(client, vehicle);
+  if (!recordings.ok() && !absl::IsUnimplemented(recordings.status())) {
+    return recordings.status();
+  }
+  if (recordings.ok()) PlaceRecordings(*recordings, &contents);
   contents.closures = PairsOf(*closures, contents.nodes);
   contents.rejections = PairsOf(*rejections, contents.nodes);
   Name(vehicle, &map);

@@ -161,6 +161,11 @@ absl::StatusOr<v1::ListPosesResponse> Client::ListPoses(
   return rep_->Unary(Retry::kSafe, &Stub::ListPoses, request);
 }
 
+absl::StatusOr<v1::ListRecordingsResponse> Client::ListRecordings(
+    const v1::ListRecordingsRequest& request) const {
+  return rep_->Unary(Retry::kSafe, &Stub::ListRecordings, request);
+}
+
 absl::StatusOr<v1::AcceptDataLossResponse> Client::AcceptDataLoss(
     const v1::AcceptDataLossRequest& request) const {
   return rep_->Unary(Retry::kNever, &Stub::AcceptDataLoss, request);

@@ -97,6 +97,9 @@ class Client {
   // Retried.
   absl::StatusOr<v1::ListPosesResponse> ListPoses(
       const v1::ListPosesRequest& request) const;
+  // Retried.
+  absl::StatusOr<v1::ListRecordingsResponse> ListRecordings(
+      const v1::ListRecordingsRequest& request) const;
   // Not retried: it is an operator's decision about one moment.
   absl::StatusOr<v1::AcceptDataLossResponse> AcceptDataLoss(
       const v1::AcceptDataLossRequest& request) const;

@@ -61,11 +61,9 @@ void Scale(double factor, ClaimedUncertainty* claim) {
 
 UncertaintyClaims::UncertaintyClaims(const UncertaintyOptions& options,
                                      std::string name)
-    : options_(options), name_(std::move(name)) {
-  const double position = options.start_position * options.start_position;
-  carried_ = {position, 0.0, 0.0,
-              position, 0.0, options.start_heading * options.start_heading};
-}
+    : options_(options),
+      name_(std::move(name)),
+      carried_(StartCovariance(options)) {}
 
 void UncertaintyClaims::ContinueFrom(const PlanarPose& pose,
                                      const std::array<double, 6>& covariance) {
@@ -83,6 +81,14 @@ void UncertaintyClaims::BeginRecording(const std::string& name) {
   is_first_ = true;
   // The columns of a file begin with certainty.
   if (options_.source == UncertaintyOptions::Source::kFile) carried_ = claimed_;
+}
+
+void UncertaintyClaims::BeginFrame() {
+  is_first_ = false;
+  previous_.reset();
+  carried_ = StartCovariance(options_);
+  claimed_ = {};
+  distance_ = 0.0;
 }
 
 std::string UncertaintyClaims::PlaceOf(const Sample& sample) const {

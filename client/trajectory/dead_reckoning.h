@@ -76,8 +76,12 @@ class UncertaintyClaims {
   void ContinueFrom(const PlanarPose& pose,
                     const std::array<double, 6>& covariance);
 
-  // The samples that follow are those of another recording, behind the last.
+  // The samples that follow are those of another file, behind the last.
   void BeginRecording(const std::string& name);
+
+  // The next sample is the first one in a frame of its own, in which errors
+  // begin anew.
+  void BeginFrame();
 
   // INVALID_ARGUMENT if the source is the file and the sample has no
   // covariance, or none that a fix can have.

@@ -9,7 +9,6 @@
 #include "client/terminal/terminal.h"
 #include "client/trajectory/local_pose.h"
 #include "google/protobuf/timestamp.pb.h"
-#include "revisit/v1/vehicle.pb.h"
 
 namespace revisit::client {
 
@@ -83,6 +82,7 @@ void AddErrorTransition(const Sample& sample, v1::Pose* pose) {
 
 void AppendPoses(const Drive& drive,
                  const std::vector<ClaimedUncertainty>& uncertainty,
+                 const RecordingsOfDrive& starts,
                  const v1::VehicleSettings& settings, const SampleRange& range,
                  std::size_t batch_poses, PoseStream* stream) {
   const bool filter =
@@ -95,23 +95,20 @@ void AppendPoses(const Drive& drive,
       v1::Pose* pose = batch.add_poses();
       *pose =
           MakePose(sample, uncertainty[next], settings.state_space(), next + 1);
-      if (filter && next > 0) AddErrorTransition(sample, pose);
+      const auto start = starts.find(next);
+      // A filter that begins anew has none to tell.
+      if (filter && next > 0 && start == starts.end()) {
+        AddErrorTransition(sample, pose);
+      }
+      if (start != starts.end())
+        *pose->mutable_recording_start() = start->second;
     }
     if (!stream->Append(std::move(batch)).ok()) return;
   }
 }
 
 std::string WarningText(const v1::Warning& warning) {
-  std::string text = absl::StrCat("warning: ", Printable(warning.message()));
-  const auto finding = warning.metadata().find("finding");
-  if (finding != warning.metadata().end() &&
-      finding->second == v1::FindingCode_Name(v1::FINDING_CODE_NEW_FRAME)) {
-    absl::StrAppend(&text,
-                    " (--vehicle OTHER --create; or --start-sigma-position M "
-                    "--start-sigma-heading RAD, with --append or several "
-                    "FILEs)");
-  }
-  return text;
+  return absl::StrCat("warning: ", Printable(warning.message()));
 }
 
 std::string JumpText(const v1::Jump& jump) {

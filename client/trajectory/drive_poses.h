@@ -4,6 +4,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <map>
 #include <string>
 #include <vector>
 
@@ -30,19 +31,23 @@ struct SampleRange {
   std::size_t end = 0;
 };
 
+// The recordings that begin in a drive, by the indices of their first samples.
+using RecordingsOfDrive = std::map<std::size_t, v1::RecordingStart>;
+
 // Appends these samples to a vehicle of these settings in batches, the pose of
 // sample i with sequence i + 1, and with error transitions if its correlation
 // model is FILTER. Stops early if the stream has failed; PoseStream::Finish()
 // then says why.
 void AppendPoses(const Drive& drive,
                  const std::vector<ClaimedUncertainty>& uncertainty,
+                 const RecordingsOfDrive& starts,
                  const v1::VehicleSettings& settings, const SampleRange& range,
                  std::size_t batch_poses, PoseStream* stream);
 
 // Reports a jump to people.
 std::string JumpText(const v1::Jump& jump);
 
-// Reports a server's warning to people, and names the flags that may help.
+// Reports a server's warning to people.
 std::string WarningText(const v1::Warning& warning);
 
 }  // namespace revisit::client

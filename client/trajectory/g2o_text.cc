@@ -30,7 +30,11 @@ G2oWriter::G2oWriter(const v1::VehicleSettings& settings,
 void G2oWriter::Add(const LocalPose& pose, const LocalPose& as_sent) {
   ++counts_.poses;
   WriteVertex(pose);
-  if (last_) WriteStep(*last_, as_sent);
+  if (as_sent.recording_start) {
+    WriteStart(as_sent);
+  } else if (last_) {
+    WriteStep(*last_, as_sent);
+  }
   last_ = as_sent;
   const auto closed = closed_.find(pose.sequence);
   if (closed != closed_.end()) closed->second = pose;
@@ -51,6 +55,25 @@ void G2oWriter::WriteStep(const LocalPose& from, const LocalPose& to) {
     if (step.raised) ++counts_.raised;
     WriteEdge(step.relative, from, to);
   }
+}
+
+void G2oWriter::WriteStart(const LocalPose& to) {
+  const v1::RecordingStart& start = *to.recording_start;
+  const v1::StateSpace space = settings_.state_space();
+  bool is_tied = false;
+  if (start.has_datum() && last_datum_) {
+    is_tied = true;
+    WriteEdge(DatumsBetween(*last_datum_, last_datum_->recording_start->datum(),
+                            to, start.datum(), space),
+              *last_datum_, to);
+  } else if (last_ && !start.has_datum() && !start.unknown()) {
+    is_tied = true;
+    WriteEdge(GapBefore(to, start, space), *last_, to);
+  }
+  if (start.has_datum()) last_datum_ = to;
+  if (!last_) return;
+  ++counts_.recordings;
+  if (!is_tied) ++counts_.untied;
 }
 
 void G2oWriter::AddClosures() {

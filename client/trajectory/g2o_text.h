@@ -28,7 +28,11 @@ class G2oWriter {
 
   // Writes the next pose and, behind it, the edge that leads to it: the step
   // between the two poses as they were sent, which is what was measured, with
-  // the uncertainty that it was sent with. `as_sent` is the same pose.
+  // the uncertainty that it was sent with. `as_sent` is the same pose, in the
+  // frame of its recording, and says where a recording begins. Such a pose has
+  // an edge from the last one of the recording before if the recording begins
+  // where that one ended; from the first one of the last recording with a datum
+  // if it has one; and otherwise none.
   void Add(const LocalPose& pose, const LocalPose& as_sent);
 
   // Writes an edge for each closure, from the matched pose to the query pose.
@@ -43,6 +47,10 @@ class G2oWriter {
     std::int64_t jumps = 0;
     // Steps over poses that were dropped, written as uncertain as both ends.
     std::int64_t gaps = 0;
+    // Recordings that began behind others, and those that no edge but that of
+    // a loop closure ties to these.
+    std::int64_t recordings = 0;
+    std::int64_t untied = 0;
     // Steps whose covariance was raised to the least one.
     std::int64_t raised = 0;
   };
@@ -52,6 +60,8 @@ class G2oWriter {
   void WriteVertex(const LocalPose& pose);
   // `from` and `to` as they were sent.
   void WriteStep(const LocalPose& from, const LocalPose& to);
+  // What leads to the first pose of a recording.
+  void WriteStart(const LocalPose& to);
   void WriteEdge(const RelativePose& relative, const LocalPose& from,
                  const LocalPose& to);
   bool IsJump(const LocalPose& from, const LocalPose& to) const;
@@ -64,6 +74,8 @@ class G2oWriter {
   std::map<std::uint64_t, LocalPose> closed_;
   // The last pose, as it was sent.
   std::optional<LocalPose> last_;
+  // The first pose of the last recording with a datum.
+  std::optional<LocalPose> last_datum_;
   Counts counts_;
 };
 

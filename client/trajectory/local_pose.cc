@@ -5,6 +5,8 @@
 #include <cmath>
 #include <vector>
 
+#include "client/formats/angles.h"
+
 namespace revisit::client {
 
 using Matrix4 = Eigen::Matrix<double, 4, 4, Eigen::RowMajor>;
@@ -145,6 +147,31 @@ void SetQuaternion(const std::array<double, 4>& orientation, v1::Pose* pose) {
   quaternion->set_w(orientation[3]);
 }
 
+LocalPose InOuterFrame(const LocalPose& pose, const v1::StatePose& frame) {
+  const double turn = frame.heading_radians();
+  const double c = std::cos(turn);
+  const double s = std::sin(turn);
+  const auto& [x, y, z] = pose.position;
+  LocalPose moved = pose;
+  moved.position = {frame.x_meters() + c * x - s * y,
+                    frame.y_meters() + s * x + c * y, frame.z_meters() + z};
+  moved.orientation = Turned(pose.orientation, turn);
+  moved.heading = std::remainder(pose.heading + turn, 2.0 * kPi);
+  Matrix4 jacobian = Matrix4::Identity();
+  jacobian(0, 0) = jacobian(1, 1) = c;
+  jacobian(0, 1) = -s;
+  jacobian(1, 0) = s;
+  const auto in_outer_axes = [&jacobian](const StateMatrix& matrix) {
+    const Matrix4 inner = Eigen::Map<const Matrix4>(matrix.data());
+    return ToArray(jacobian * inner * jacobian.transpose());
+  };
+  moved.covariance = in_outer_axes(pose.covariance);
+  if (pose.error_transition) {
+    moved.error_transition = in_outer_axes(*pose.error_transition);
+  }
+  return moved;
+}
+
 std::array<double, 4> Turned(const std::array<double, 4>& orientation,
                              double radians) {
   const auto& [x, y, z, w] = orientation;
@@ -168,6 +195,9 @@ LocalPose LocalFrame::Localize(const v1::Pose& pose) const {
   LocalPose local;
   local.sequence = pose.sequence();
   if (pose.has_stamp()) local.stamp = pose.stamp();
+  if (pose.has_recording_start()) {
+    local.recording_start = pose.recording_start();
+  }
   // From the frame in which the pose is given to the vehicle's.
   Eigen::Matrix3d turn = Eigen::Matrix3d::Identity();
   if (pose.has_geodetic() && origin_ != nullptr) {

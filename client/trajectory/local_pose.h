@@ -48,7 +48,13 @@ struct LocalPose {
   StateMatrix covariance = {};
   // Only where the pose has one.
   std::optional<StateMatrix> error_transition;
+  // Where the pose is the first of a recording.
+  std::optional<v1::RecordingStart> recording_start;
 };
+
+// A pose of a frame that lies so in another one, in that one: turned about z
+// and moved.
+LocalPose InOuterFrame(const LocalPose& pose, const v1::StatePose& frame);
 
 // The local frame of one vehicle. Thread-compatible.
 class LocalFrame {

@@ -172,6 +172,44 @@ RelativePose JumpBetween(const LocalPose& from, const LocalPose& to) {
   return jump;
 }
 
+RelativePose GapBefore(const LocalPose& to, const v1::RecordingStart& start,
+                       v1::StateSpace state_space) {
+  // RecordingStart has what is assumed where it says nothing.
+  constexpr double kUsualMeters = 10.0;
+  constexpr double kUsualRadians = 0.3;
+  const Vector4d usual(kUsualMeters, kUsualMeters, kUsualMeters, kUsualRadians);
+  Matrix4d covariance = start.has_after()
+                            ? ToMatrix(StateCovariance(start.after()))
+                            : Matrix4d(usual.cwiseAbs2().asDiagonal());
+  Raise(state_space == v1::STATE_SPACE_SPATIAL, &covariance);
+  // The two head the same way, so the axes of the one are those of the other.
+  const Matrix4d turn = StateTurnBy(-to.heading);
+  RelativePose gap;
+  gap.covariance = ToStateMatrix(turn * covariance * turn.transpose());
+  return gap;
+}
+
+RelativePose DatumsBetween(const LocalPose& from, const v1::Datum& from_datum,
+                           const LocalPose& to, const v1::Datum& to_datum,
+                           v1::StateSpace state_space) {
+  const bool is_same = !to_datum.datum_id().empty() &&
+                       to_datum.datum_id() == from_datum.datum_id();
+  const auto placed = [is_same](const LocalPose& pose, const v1::Datum& datum) {
+    LocalPose shared = InOuterFrame(pose, datum.pose());
+    if (!is_same) {
+      shared.covariance =
+          ToStateMatrix(ToMatrix(shared.covariance) +
+                        ToMatrix(StateCovariance(datum.covariance())));
+    }
+    return shared;
+  };
+  v1::VehicleSettings unrelated;
+  unrelated.set_state_space(state_space);
+  unrelated.set_correlation_model(v1::CORRELATION_MODEL_INDEPENDENT);
+  return StepBetween(placed(from, from_datum), placed(to, to_datum), unrelated)
+      .relative;
+}
+
 RelativePose ClosureBetween(const v1::LoopClosure& closure,
                             const LocalPose& matched, const LocalPose& query) {
   // The search takes closures without a measurement to be so uncertain too

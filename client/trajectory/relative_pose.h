@@ -48,6 +48,19 @@ Step StepBetween(const LocalPose& from, const LocalPose& to,
 // A step of which nothing is known but how far it leads.
 RelativePose JumpBetween(const LocalPose& from, const LocalPose& to);
 
+// From the last pose of a recording to the first pose `to` of the one that
+// begins where it ended: both lie at one place, as far as RecordingStart.after
+// says, or the service where it does not.
+RelativePose GapBefore(const LocalPose& to, const v1::RecordingStart& start,
+                       v1::StateSpace state_space);
+
+// From the first pose of a recording to the first one of a later one, both of
+// which were placed by datums: as these say, whose errors count once where it
+// is the same datum.
+RelativePose DatumsBetween(const LocalPose& from, const v1::Datum& from_datum,
+                           const LocalPose& to, const v1::Datum& to_datum,
+                           v1::StateSpace state_space);
+
 // From the matched pose to the query pose, as the closure's measurement says.
 // Without one: the two lie at one place, with the uncertainty that searches
 // assume, and head the same or the opposite way, whichever the estimates are

@@ -144,6 +144,40 @@ absl::StatusOr<std::vector<v1::RejectedCandidate>> ReadRejectedCandidates(
   return all;
 }
 
+absl::StatusOr<std::vector<v1::Recording>> ReadRecordings(
+    const Client& client, const std::string& vehicle) {
+  constexpr int kPageSize = 1000;
+  std::vector<v1::Recording> all;
+  v1::ListRecordingsRequest request;
+  request.set_parent(vehicle);
+  request.set_page_size(kPageSize);
+  const absl::Status status = VisitPages(
+      request,
+      [&](const v1::ListRecordingsRequest& asked) {
+        return client.ListRecordings(asked);
+      },
+      [](const v1::ListRecordingsResponse& page) -> const auto& {
+        return page.recordings();
+      },
+      [&](const v1::ListRecordingsResponse& page) -> absl::StatusOr<bool> {
+        all.insert(all.end(), page.recordings().begin(),
+                   page.recordings().end());
+        return true;
+      });
+  if (!status.ok()) return status;
+  return all;
+}
+
+const v1::Recording* RecordingOf(const std::vector<v1::Recording>& recordings,
+                                 std::uint64_t sequence) {
+  const auto next =
+      std::upper_bound(recordings.begin(), recordings.end(), sequence,
+                       [](std::uint64_t of, const v1::Recording& recording) {
+                         return of < recording.first_sequence();
+                       });
+  return next == recordings.begin() ? nullptr : &*(next - 1);
+}
+
 absl::StatusOr<v1::Vehicle> ReadVehicle(const Client& client,
                                         const std::string& vehicle) {
   v1::GetVehicleRequest request;

@@ -2,6 +2,7 @@
 #ifndef REVISIT_CLIENT_TRAJECTORY_STORED_POSES_H_
 #define REVISIT_CLIENT_TRAJECTORY_STORED_POSES_H_
 
+#include <cstdint>
 #include <functional>
 #include <string>
 #include <vector>
@@ -12,6 +13,7 @@
 #include "revisit/v1/geometry.pb.h"
 #include "revisit/v1/loop_closure.pb.h"
 #include "revisit/v1/pose_graph_service.pb.h"
+#include "revisit/v1/recording.pb.h"
 #include "revisit/v1/vehicle.pb.h"
 
 namespace revisit::client {
@@ -34,6 +36,14 @@ absl::StatusOr<std::vector<v1::LoopClosure>> ReadLoopClosures(
     const Client& client, const std::string& vehicle);
 absl::StatusOr<std::vector<v1::RejectedCandidate>> ReadRejectedCandidates(
     const Client& client, const std::string& vehicle);
+
+// All recordings, the oldest first. `vehicle` is a resource name.
+absl::StatusOr<std::vector<v1::Recording>> ReadRecordings(
+    const Client& client, const std::string& vehicle);
+
+// The recording that holds a pose; null if there is none.
+const v1::Recording* RecordingOf(const std::vector<v1::Recording>& recordings,
+                                 std::uint64_t sequence);
 
 // The vehicle of this resource name.
 absl::StatusOr<v1::Vehicle> ReadVehicle(const Client& client,

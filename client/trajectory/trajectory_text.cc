@@ -1,10 +1,15 @@
 #include "client/trajectory/trajectory_text.h"
 
 #include "client/answers/exact_text.h"
+#include "client/formats/plain_readers.h"
+#include "client/terminal/terminal.h"
 
 namespace revisit::client {
 
 void WriteTumLine(const LocalPose& pose, std::ostream& out) {
+  if (pose.recording_start) {
+    out << kRecordingMark << ToJson(*pose.recording_start, false) << '\n';
+  }
   out << StampSeconds(*pose.stamp);
   for (const double value : pose.position) out << ' ' << Exact(value);
   for (const double value : pose.orientation) out << ' ' << Exact(value);

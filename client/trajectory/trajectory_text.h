@@ -10,7 +10,9 @@
 
 namespace revisit::client {
 
-// "t x y z qx qy qz qw", as in the TUM RGB-D benchmark. REQUIRES: a stamp.
+// "t x y z qx qy qz qw", as in the TUM RGB-D benchmark. Before the first pose
+// of a recording is a comment that says so, as plain_readers.h reads it.
+// REQUIRES: a stamp.
 void WriteTumLine(const LocalPose& pose, std::ostream& out);
 
 // The upper three rows of the matrix that takes points of the body to the local

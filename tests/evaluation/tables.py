@@ -2,20 +2,26 @@
 """Tables of RESULTS.md that take more than one command, in Markdown.
 
     tables.py [--revisit PROGRAM] [--nagoya DIR] [--drives DIR] [--kitti DIR]
-              [TABLE ...]
+              [TABLE ...] [--sessions DRIVE DRIVE ... [--register]]
 
   height      drives with heights, by planar and by spatial vehicles
   filter      a filter's poses under each of the three models of correlation
   lengths     Nagoya with sequences of 100 to 400 m
   situations  straight roads, symmetric corners and what helps (situations.py)
+  recordings  sessions of one town as recordings of one vehicle, of which each asks
+              once for places in the others
 
-Without names, all of them are printed. They need, besides the shipped drive:
+Without names, all of them are printed, but recordings only with its sessions. They
+need, besides the shipped drive:
 
   --nagoya  spp_2023.pos, spp_2024.pos, reference_2023.csv, reference_2024.csv
             (or the same with .gz)
   --drives  the drive of each file in --kitti, such as kitti_00.csv
   --kitti   true poses of KITTI's odometry benchmark, such as 00.txt, and what
             estimators made of them, such as 00_sptam.txt: 12 numbers a line
+  --sessions  drive files whose truths are in one frame or, with --register, are laid
+            over each other first (registration.py); "boreas" stands for the two days
+            of the shipped drive
 
 Needs Python 3.8 or newer and numpy.
 """
@@ -28,6 +34,7 @@ import sys
 import tempfile
 
 import filtered_drive
+import registration
 import situations
 from reports import REVISIT, ROOT, decimals, markdown, report_of
 
@@ -40,6 +47,24 @@ MODELS = ("filter", "dead-reckoning", "independent")
 FIXES = {"each second": (filtered_drive.FIX_SCALE, 0.0),
          "each 120 s": (1.0, 120.0)}
 FILTER_SEEDS = range(1, 6)
+#: Seconds without poses between the two days of the shipped drive.
+NIGHT = 3600.0
+#: What is known of the frames: the words of --recordings, and what else is asked for.
+#: Overlaps are twice as long as sequences.
+SEQUENCE = ("--sequence-length", 300)
+RELATIONS = {
+    "datum 10 m, 1 degree": ("datum:10m,1deg", *SEQUENCE),
+    "50 m, 1 degree": ("datum:50m,1deg", *SEQUENCE),
+    "200 m, 5 degrees": ("datum:200m,5deg", *SEQUENCE),
+    "10 m, from the first link on": ("datum:10m,1deg", "--verify", *SEQUENCE),
+    "200 m, from the first link on": ("datum:200m,5deg", "--verify", *SEQUENCE),
+    "unknown, overlaps of 600 m": ("unknown", *SEQUENCE),
+    "unknown, overlaps of 1,000 m": ("unknown", "--sequence-length", 500),
+    "datum 10 m, claims of odometry x 0.5": (
+        "datum:10m,1deg", "--claimed-scale", 0.5, *SEQUENCE),
+    "datum 10 m, claims of odometry x 2": (
+        "datum:10m,1deg", "--claimed-scale", 2, *SEQUENCE),
+}
 
 
 def figures(total):
@@ -189,6 +214,41 @@ def lengths(options, _):
          *TITLES[5:], "paper: precision / recall", "F1"], rows.values())
 
 
+def days_of_boreas(folder):
+    """The two days of the shipped drive, each as a file of its own."""
+    lines = (BOREAS / "boreas_glen_shields.csv").read_text().splitlines()
+    times = [float(line.split(",")[1]) for line in lines[1:]]
+    night = next(i for i in range(1, len(times)) if times[i] - times[i - 1] > NIGHT)
+    days = []
+    for name, part in (("day_1", lines[1:night + 1]), ("day_2", lines[night + 1:])):
+        days.append(folder / f"boreas_{name}.csv")
+        days[-1].write_text("\n".join([lines[0], *part]) + "\n")
+    return days
+
+
+def sessions_of(options, folder):
+    """The drive files, and what is to be said of their truths."""
+    if [str(one) for one in options.sessions] == ["boreas"]:
+        return days_of_boreas(folder), ""
+    if not options.register:
+        return options.sessions, ""
+    drives, apart = registration.write_registered(options.sessions, folder)
+    return drives, "".join(
+        f"{drive.stem}: its truth lies {off:.1f} m beside that of "
+        f"{drives[0].stem} (median)\n" for drive, off in zip(drives[1:], apart[1:]))
+
+
+def recordings(options, folder):
+    drives, notes = sessions_of(options, folder)
+    rows = []
+    for relation, arguments in RELATIONS.items():
+        total = report_of(options.revisit, *drives, "--one-vehicle", "--recordings",
+                          *arguments)["total"]
+        rows.append([relation, *figures(total),
+                     f"{total['new_road_accepted']} of {total['new_road_checks']}"])
+    return notes + markdown(["frames", *TITLES, "accepted at new roads"], rows)
+
+
 def all_situations(options, _):
     return situations.table(options.revisit, "1-40")
 
@@ -197,7 +257,8 @@ def all_situations(options, _):
 TABLES = {"height": (height, ("nagoya", "drives", "kitti")),
           "filter": (filtered_poses, ("nagoya",)),
           "lengths": (lengths, ("nagoya",)),
-          "situations": (all_situations, ())}
+          "situations": (all_situations, ()),
+          "recordings": (recordings, ("sessions",))}
 
 
 def main():
@@ -206,17 +267,21 @@ def main():
     parser.add_argument("--revisit", default=REVISIT)
     for folder in ("nagoya", "drives", "kitti"):
         parser.add_argument(f"--{folder}", type=pathlib.Path, metavar="DIR")
+    parser.add_argument("--sessions", type=pathlib.Path, nargs="+", metavar="DRIVE")
+    parser.add_argument("--register", action="store_true")
     parser.add_argument("tables", nargs="*", metavar="TABLE",
                         help=", ".join(TABLES))
     options = parser.parse_args()
-    chosen = options.tables or list(TABLES)
+    chosen = options.tables or [name for name in TABLES
+                                if name != "recordings" or options.sessions]
     for name in chosen:
         if name not in TABLES:
             parser.error(f"expected tables among {', '.join(TABLES)}, "
                          f"got {name}")
         for folder in TABLES[name][1]:
             if getattr(options, folder) is None:
-                parser.error(f"{name}: needs --{folder} DIR")
+                kind = "DRIVE ..." if folder == "sessions" else "DIR"
+                parser.error(f"{name}: needs --{folder} {kind}")
     for name in chosen:
         with tempfile.TemporaryDirectory() as folder:
             print(f"{name}:\n\n{TABLES[name][0](options, pathlib.Path(folder))}"

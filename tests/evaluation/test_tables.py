@@ -6,9 +6,11 @@ import math
 import pathlib
 import sys
 
+import numpy as np
 import pytest
 
 sys.path.insert(0, str(pathlib.Path(__file__).parent))
+import registration
 import reports
 import tables
 
@@ -86,3 +88,82 @@ def test_figures_that_are_not_there_are_dashes():
     assert reports.markdown(["a", "b"], [[1, "x"]]) \
         == "| a | b |\n|---|---|\n| 1 | x |"
     assert len(cells) == len(tables.TITLES)
+
+
+def test_days_of_the_shipped_drive_are_told_apart_by_the_night_between(tmp_path):
+    first, second = (rows_of(path) for path in tables.days_of_boreas(tmp_path))
+    assert (len(first), len(second)) == (1079, 997)
+    assert float(second[0]["t_s"]) - float(first[-1]["t_s"]) > 86400.0
+    assert list(first[0]) == list(second[0])
+
+
+def street(turns, begin=(0.0, 0.0, 0.0), step=2.0):
+    """The truth of a drive that turns so far every 100 m: rows of a drive file."""
+    x, y, heading = begin
+    rows = []
+    for turn in turns:
+        for _ in range(int(100.0 / step)):
+            rows.append({"t_s": f"{len(rows)}", "gt_x": f"{x:.3f}", "gt_y": f"{y:.3f}",
+                         "gt_yaw": f"{heading:.5f}", "est_x": "0", "est_y": "0",
+                         "est_yaw": "0"})
+            x += step * math.cos(heading)
+            y += step * math.sin(heading)
+        heading += turn
+    return rows
+
+
+TURNS = [0.0, 1.5, 0.4, -1.2, 0.0, 1.1, 1.6, -0.5, -0.5, 0.9, -1.5, 0.0, 0.7, -1.4]
+
+
+def bent(rows, turn, x, y):
+    """The truth in a frame that lies so in that of the rows, whose drift bends it by
+    8 m."""
+    back = registration.rotation(-turn)
+    made = []
+    for number, row in enumerate(rows):
+        drift = 8.0 * math.sin(number / len(rows) * math.pi)
+        place = back @ [float(row["gt_x"]) + drift - x, float(row["gt_y"]) - y]
+        made.append({**row, "gt_x": f"{place[0]:.3f}", "gt_y": f"{place[1]:.3f}",
+                     "gt_yaw": f"{float(row['gt_yaw']) - turn:.5f}"})
+    return made
+
+
+def write_rows(path, rows):
+    with open(path, "w", encoding="ascii", newline="") as file:
+        writer = csv.DictWriter(file, rows[0])
+        writer.writeheader()
+        writer.writerows(rows)
+    return path
+
+
+def test_truths_of_other_frames_are_laid_over_the_first(tmp_path):
+    whole = street(TURNS)
+    (tmp_path / "out").mkdir()
+    first = write_rows(tmp_path / "first.csv", whole)
+    second = write_rows(tmp_path / "second.csv",
+                        bent(whole[150:600], 2.1, 400.0, -90.0))
+    drives, apart = registration.write_registered([first, second], tmp_path / "out")
+    assert drives[0] == first and apart[0] == 0.0
+    assert apart[1] < 1.0
+    off = [math.dist((float(row["gt_x"]), float(row["gt_y"])),
+                     (float(true["gt_x"]), float(true["gt_y"])))
+           for row, true in zip(rows_of(drives[1]), whole[150:600])]
+    # What lies along a straight street shows at its ends alone.
+    assert np.median(off) < 2.0 and max(off) < 8.0
+    turned = [math.remainder(float(row["gt_yaw"]) - float(true["gt_yaw"]), math.tau)
+              for row, true in zip(rows_of(drives[1]), whole[150:600])]
+    assert max(map(abs, turned)) < 0.05
+
+
+def test_drives_of_different_streets_are_not_laid_over_each_other():
+    with pytest.raises(ValueError, match="too few streets"):
+        registration.register(
+            registration.path_of(street([0.3] * 12)),
+            registration.path_of(street(TURNS)))
+
+
+def test_recordings_need_sessions(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["tables.py", "recordings"])
+    with pytest.raises(SystemExit):
+        tables.main()
+    assert "recordings: needs --sessions DRIVE ..." in capsys.readouterr().err

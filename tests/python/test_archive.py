@@ -117,3 +117,22 @@ def test_a_file_that_is_there_stays(client, new_vehicle, tmp_path):
     with pytest.raises(FileExistsError, match="is there already"):
         revisit.archive.write(path, client, vehicle)
     assert path.read_text() == "mine"
+
+
+def test_starts_of_recordings_are_archived(client, new_vehicle, tmp_path):
+    vehicle = new_vehicle()
+    client.append_poses(vehicle, straight(20))
+    second = straight(20).numbered(21).as_recording("datum:10m,1deg", label="b")
+    client.append_poses(vehicle, second)
+    client.append_poses(vehicle, straight(5).numbered(41).as_recording("after"))
+    path = tmp_path / "two.parquet"
+    revisit.archive.write(path, client, vehicle)
+    back = revisit.archive.read(path)
+    assert as_bytes(back.to_messages()) == as_bytes(client.list_poses(vehicle))
+    assert [row for row, start in enumerate(back.recording_start)
+            if start is not None] == [20, 40]
+    # A file of an earlier version has no such column.
+    table = parquet.read_table(path).drop_columns(["recording_start"])
+    parquet.write_table(table, tmp_path / "older.parquet")
+    older = revisit.archive.read(tmp_path / "older.parquet")
+    assert older.recording_start.tolist() == [None] * 45

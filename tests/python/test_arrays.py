@@ -321,3 +321,46 @@ def test_headings_are_turned_by_a_yaw_and_by_nothing_else(client, new_vehicle):
         stream.append(mended)
         stream.finish()
         assert stream.warnings == []
+
+
+def test_starts_of_recordings_come_back_and_go_with_their_rows():
+    poses = straight(6)
+    assert list(poses.recording_start) == [None] * 6
+    begun = poses[3:].as_recording("datum:10m,1deg,map", label="tuesday")
+    # What was there stays as it was.
+    assert poses.recording_start[3] is None
+    messages = [*poses[:3].to_messages(), *begun.to_messages()]
+    assert [message.HasField("recording_start") for message in messages] == [
+        False, False, False, True, False, False]
+    start = messages[3].recording_start
+    assert (start.label, start.datum.datum_id) == ("tuesday", "map")
+    back = Poses.from_messages(messages)
+    assert as_bytes(back.to_messages()) == as_bytes(messages)
+    assert back[3:4].recording_start[0] == start
+    assert back[4:].recording_start.tolist() == [None, None]
+    whole = v1.RecordingStart(unknown=True)
+    assert poses.as_recording(whole).recording_start[0] is whole
+    with pytest.raises(ValueError, match="no pose"):
+        poses[:0].as_recording()
+
+
+def test_starts_of_recordings_are_said_in_the_words_of_the_command_line():
+    plain = revisit.recording_start("after", label="a")
+    assert plain == v1.RecordingStart(label="a")
+    after = revisit.recording_start("after:5m,17.5deg").after
+    assert after.form == v1.COVARIANCE_FORM_SPATIAL_10
+    assert after.values[0] == after.values[4] == after.values[7] == 25.0
+    assert after.values[9] == pytest.approx(np.radians(17.5) ** 2)
+    datum = revisit.recording_start("datum:1e1m,1deg,a, b",
+                                    datum_pose=(1.0, -2.0, 0.5)).datum
+    assert datum.datum_id == "a, b"
+    assert datum.pose == v1.StatePose(x_meters=1.0, y_meters=-2.0, heading_radians=0.5)
+    assert not revisit.recording_start("datum:1m,1deg").datum.HasField("pose")
+    assert revisit.recording_start("unknown").unknown
+    for wrong in ("", "same", "after:5,17", "after:5m", "after:5m,17deg,map", "datum",
+                  "datum:10m,1", "datum:10m,1deg,", "datum:-1m,1deg", "datum:0m,1deg",
+                  "unknown:1m,1deg", "after:5m,17deg "):
+        with pytest.raises(ValueError, match="relation is"):
+            revisit.recording_start(wrong)
+    with pytest.raises(ValueError, match="datum_pose"):
+        revisit.recording_start("after", datum_pose=(0.0, 0.0, 0.0))

@@ -479,3 +479,16 @@ async def test_warnings_are_returned_and_logged(server, caplog):
             await stream.finish()
             assert len(stream.warnings) == 2
     assert caplog.text.count("What to do: ") == 2
+
+
+def test_recordings_are_listed_by_asyncio_too(server, client, new_vehicle):
+    vehicle = new_vehicle()
+    client.append_poses(vehicle, straight(20))
+    client.append_poses(vehicle, straight(20).numbered(21).as_recording("after"))
+
+    async def listed():
+        async with revisit.aio.Client(server.address) as other:
+            return [recording.first_sequence
+                    async for recording in other.list_recordings(vehicle)]
+
+    assert asyncio.run(listed()) == [1, 21]

@@ -252,3 +252,18 @@ def test_many_streams_at_a_time(client, new_vehicle, in_thread):
 def test_options_out_of_range_are_refused(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         StreamOptions(**wrong)
+
+
+def test_table_of_candidates_tells_of_recordings_and_has_nan_for_what_is_absent():
+    tied = revisit.v1.Candidate(
+        recording_of_match="vehicles/a/recordings/21",
+        frame_state=revisit.v1.FRAME_STATE_DATUM,
+        difference=revisit.v1.PoseDifference(x_meters=2.5),
+        gate=revisit.v1.Gate(threshold=7.5))
+    none = revisit.v1.Candidate(frame_state=revisit.v1.FRAME_STATE_NONE)
+    table = revisit.candidate_table([revisit.v1.CandidateSet(candidates=[tied, none])])
+    assert table["recording_of_match"].tolist() == ["vehicles/a/recordings/21", ""]
+    assert table["frame_state"].tolist() == ["DATUM", "NONE"]
+    np.testing.assert_array_equal(table["difference_x"], [2.5, np.nan])
+    np.testing.assert_array_equal(table["gate_threshold"], [7.5, np.nan])
+    assert table["gate_verdict"].tolist() == ["UNSPECIFIED", "UNSPECIFIED"]

@@ -246,3 +246,30 @@ def test_warnings_of_a_batch_are_returned_and_logged(client, new_vehicle, caplog
     ack = client.append_poses(new_vehicle(), poses)
     assert v1.WARNING_REASON_HEADING_BEYOND_TURN in [one.reason for one in ack.warnings]
     assert "What to do: np.radians()" in caplog.text
+
+
+def test_recordings_are_listed_with_where_their_frames_lie(client, new_vehicle):
+    vehicle = new_vehicle()
+    client.append_poses(vehicle, straight(20))
+    client.append_poses(vehicle, straight(20).numbered(21).as_recording(
+        "after:3m,10deg", label="tuesday"))
+    client.append_poses(vehicle, straight(20).numbered(41).as_recording("unknown"))
+    table = revisit.recording_table(client.list_recordings(vehicle))
+    assert table["name"].tolist() == [
+        f"vehicles/{vehicle}/recordings/{first}" for first in (1, 21, 41)]
+    assert table["last_sequence"].tolist() == [20, 40, 60]
+    assert table["label"].tolist() == ["", "tuesday", ""]
+    assert table["relation"].tolist() == ["", "after", "unknown"]
+    assert table["frame_state"].tolist() == ["NONE", "NONE", "SAME"]
+    assert np.isnan(table["frame_x"][:2]).all() and table["frame_x"][2] == 0.0
+
+
+def test_revision_into_a_common_frame_leaves_one_recording(client, new_vehicle):
+    vehicle = new_vehicle()
+    client.append_poses(vehicle, straight(20))
+    client.append_poses(vehicle, straight(20).numbered(21).as_recording("after"))
+    with pytest.raises(revisit.InvalidArgument):
+        client.revise_poses(vehicle, straight(39), common_frame=True)
+    assert len(list(client.list_recordings(vehicle))) == 2
+    client.revise_poses(vehicle, straight(40), common_frame=True)
+    assert len(list(client.list_recordings(vehicle))) == 1

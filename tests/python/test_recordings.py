@@ -199,3 +199,27 @@ def test_times_are_those_of_the_file(tmp_path):
         f"{1_700_000_000 + n}.25,{2 * n},0,0\n" for n in range(20)))
     poses = revisit.read_recording(path, columns="t=t,x=x,y=y,yaw=yaw")
     assert poses.stamp[3] == np.datetime64(1_700_000_003_250_000_000, "ns")
+
+
+def test_second_day_begins_a_recording_and_a_line_says_so(tmp_path, caplog):
+    days = []
+    for day in range(2):
+        days.append(tmp_path / f"day{day}.csv")
+        days[-1].write_text("t_s,est_x,est_y,est_yaw\n" + "".join(
+            f"{86400 * day + i},{2 * i},0,0\n" for i in range(40)))
+
+    def starts(**flags):
+        poses = revisit.read_recording(days, **flags)
+        return [(row, start.label, start.WhichOneof("relation"))
+                for row, start in enumerate(poses.recording_start)
+                if start is not None]
+
+    assert starts() == [(40, "day1", None)]
+    assert any("another recording begins" in record.getMessage()
+               for record in caplog.records)
+    assert starts(recording="datum:10m,1deg") == [
+        (0, "day0", "datum"), (40, "day1", "datum")]
+    assert starts(recording="unknown") == [(40, "day1", "unknown")]
+    assert starts(recording="same") == []
+    with pytest.raises(ValueError, match="METERSm"):
+        starts(recording="datum:10,1")

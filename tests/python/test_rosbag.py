@@ -235,3 +235,50 @@ def test_what_is_no_bag_is_refused(tmp_path):
     (tmp_path / "text.mcap").write_text("this is no recording")
     with pytest.raises(ValueError, match="cannot be read as a bag"):
         revisit.rosbag.read_poses(tmp_path / "text.mcap")
+
+
+def two_runs(index):
+    """Twice the same way from the origin, 60 poses long."""
+    return 2.0 * (index % 60), 0.0, 0.0
+
+
+def restarted_bag(path, covariance):
+    messages = Messages(ROS2)
+    return write(path, [("/odom", ODOMETRY, [
+        messages.odometry(stamp_of(index), *two_runs(index), covariance(index))
+        for index in range(COUNT)])])
+
+
+def starts(poses):
+    return [int(sequence) for sequence, start in zip(poses.sequence,
+                                                     poses.recording_start)
+            if start is not None]
+
+
+@pytest.mark.parametrize("covariance, expected", [
+    (lambda index: covariance_of(index % 60), [61]),
+    # Drivers that write one covariance into each message.
+    (lambda index: covariance_of(0), [61]),
+    # The estimator says itself that it has become less certain.
+    (covariance_of, []),
+], ids=["anew", "constant", "growing"])
+def test_odometry_that_began_anew_begins_a_recording(
+        client, new_vehicle, tmp_path, caplog, covariance, expected):
+    bag = restarted_bag(tmp_path / "bag", covariance)
+    poses = revisit.rosbag.read_poses(bag)
+    assert starts(poses) == expected
+    said = [record.getMessage() for record in caplog.records
+            if "another recording begins" in record.getMessage()]
+    assert len(said) == len(expected)
+    assert all("pose 61" in text for text in said)
+    assert starts(revisit.rosbag.read_poses(bag, recordings=False)) == []
+    # In batches, and where a stream goes on in the middle, the same.
+    for after in (0, 10, 60):
+        batches = list(revisit.rosbag.iter_poses(bag, after=after, batch=7))
+        assert sum((starts(batch) for batch in batches), []) == [
+            first for first in expected if first > after]
+    vehicle = new_vehicle()
+    with client.stream_poses(vehicle) as stream:
+        for batch in revisit.rosbag.iter_poses(bag):
+            stream.append(batch)
+    assert len(list(client.list_recordings(vehicle))) == 1 + len(expected)

@@ -159,6 +159,7 @@ class Converter {
   absl::Status Read(const std::string& file) {
     file_ = file;
     if (claims_.has_value()) claims_->BeginRecording(file);
+    if (starts_.has_value()) starts_->BeginFile(file);
     const auto reader = OpenSamples(file, options_.reader);
     if (!reader.ok()) return reader.status();
     for (;;) {
@@ -198,14 +199,41 @@ class Converter {
       if (!text.empty()) progress_.Note(text);
     }
     claims_.emplace(uncertainty, file_);
+    using Kind = RecordingChoice::Kind;
+    if (held_.front().geodetic.has_value() &&
+        options_.recording.kind != Kind::kByPoses &&
+        options_.recording.kind != Kind::kSame) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          file_,
+          ": has geodetic positions, which are in one frame whatever was "
+          "recorded when: --recording goes with local ones"));
+    }
+    // As `stream` does it for a vehicle of this correlation model.
+    const bool is_carried =
+        uncertainty.source != UncertaintyOptions::Source::kFixes &&
+        (options_.correlation_model == v1::CORRELATION_MODEL_UNSPECIFIED ||
+         options_.correlation_model == v1::CORRELATION_MODEL_DEAD_RECKONING);
+    starts_.emplace(options_.recording, options_.state_space,
+                    is_carried && !uncertainty.start_is_given);
+    starts_->BeginFile(file_);
     return absl::OkStatus();
   }
 
   absl::Status Write(const Sample& sample) {
+    auto begun = starts_->Next(sample);
+    if (!begun.ok()) return begun.status();
+    if (begun->has_value()) {
+      claims_->BeginFrame();
+      if (!(*begun)->note.empty()) progress_.Note((*begun)->note);
+    }
     const auto claim = claims_->Next(sample);
     if (!claim.ok()) return claim.status();
     v1::Pose pose = MakePose(sample, *claim, options_.state_space, ++poses_);
-    if (is_filter() && poses_ > 1) {
+    if (begun->has_value()) {
+      *pose.mutable_recording_start() = std::move((*begun)->start);
+    }
+    // A filter that begins anew has no transition to tell.
+    if (is_filter() && poses_ > 1 && !pose.has_recording_start()) {
       if (!sample.error_transition.has_value()) {
         return absl::InvalidArgumentError(absl::StrCat(
             file_, ":", sample.line,
@@ -230,6 +258,7 @@ class Converter {
   std::string file_;
   std::deque<Sample> held_;
   std::optional<UncertaintyClaims> claims_;
+  std::optional<RecordingStarts> starts_;
   std::uint64_t poses_ = 0;
 };
 
@@ -300,6 +329,7 @@ void AddConvertCommand(const Command& program) {
                 "Recordings, one after the other; - for the standard input")
       .Required();
   AddPoseFlags(command, options.get());
+  AddRecording(command, &options->recording);
   AddReaderFlags(command, &options->reader);
   AddUncertainty(command, &options->uncertainty);
   const Check check = [command, options]() -> std::string {

@@ -10,6 +10,7 @@
 #include "client/formats/reader.h"
 #include "client/terminal/terminal.h"
 #include "client/trajectory/dead_reckoning.h"
+#include "client/trajectory/recording_starts.h"
 #include "revisit/v1/vehicle.pb.h"
 
 namespace revisit::client {
@@ -42,6 +43,8 @@ struct ConvertOptions {
   // error transitions.
   v1::StateSpace state_space = v1::STATE_SPACE_PLANAR;
   v1::CorrelationModel correlation_model = v1::CORRELATION_MODEL_DEAD_RECKONING;
+  // As StreamOptions.recording.
+  RecordingChoice recording;
   ConvertFormat format = ConvertFormat::kCsv;
   // The poses go to the terminal if this is empty.
   std::string output;

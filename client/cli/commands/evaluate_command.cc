@@ -41,7 +41,13 @@ constexpr char kDetails[] =
     "place may lie / loops\n              seen by these looks\n"
     "  ECE p>=0.1  expected calibration error of the probabilities that are "
     "stated at 0.1 or more\n"
-    "  ECE         that of all, which is small where most checks are no loops";
+    "  ECE         that of all, which is small where most checks are no loops\n"
+    "With --recordings, candidates in the recording that asks do not count, "
+    "and "
+    "there are two more:\n"
+    "  new roads   checks at which no other recording has a road of this "
+    "heading within 40 m\n"
+    "  accepted there  how often the first candidate was accepted nevertheless";
 
 constexpr char kExamples[] =
     "  revisit evaluate kitti_05.csv\n"
@@ -57,6 +63,8 @@ constexpr char kExamples[] =
     "  revisit evaluate filtered.csv --correlation-model filter\n"
     "  revisit evaluate day1.pos day2.pos --one-vehicle "
     "--truth ref1.csv ref2.csv\n"
+    "  revisit evaluate monday.csv tuesday.csv --one-vehicle "
+    "--recordings datum:10m,1deg --verify\n"
     "  revisit evaluate slam.txt --axes camera --truth poses.txt --truth-axes "
     "camera --rate 10 --truth-rate 10";
 
@@ -78,6 +86,27 @@ void AddInputsAndOutputs(const Command& command, EvaluateOptions* options) {
                    "say how");
   command.AddSwitch("--one-vehicle", &options->one_vehicle,
                     "Stream all files into one vehicle, one after the other");
+  command.AddText(
+      "--recordings", "RELATION",
+      [options](const std::string& text) -> std::string {
+        RecordingChoice choice;
+        if (std::string allowed = ReadRecordingChoice(text, &choice);
+            !allowed.empty()) {
+          return allowed;
+        }
+        if (choice.kind == RecordingChoice::Kind::kSame) {
+          return "what --one-vehicle does without it; or after, datum, unknown";
+        }
+        options->recordings = choice;
+        return "";
+      },
+      "With --one-vehicle: each file is a recording in a frame of its own, as "
+      "--recording of revisit stream, and each is once the last one, which "
+      "asks "
+      "for places in the others; the truths are in one frame. With datum, "
+      "datums are drawn about the true starts");
+  command.AddWholeNumber("--seeds", {1, 1000}, &options->recording_draws,
+                         "Draws of the datums of --recordings datum (3)");
   command.AddSwitch("--verbose", &options->verbose,
                     "Print each check's best candidate");
   command.AddText("--map", "FILE", &options->map,
@@ -132,9 +161,12 @@ void AddMeasurements(const Command& command, EvaluateFlags* flags) {
       "deviation in x and y, and the seconds over which errors are correlated; "
       "claimed as independent unless --correlation-model says otherwise. "
       "--simulate has the seeds (1)");
-  group.AddSwitch("--verify", &options->verify,
-                  "Play the verifier: tell the service which accepted first "
-                  "candidates are right and which are wrong");
+  group.AddSwitch(
+      "--verify", &options->verify,
+      "Play the verifier: tell the service which accepted first "
+      "candidates are right and which are wrong; with --recordings, "
+      "of the first right one in each other recording alone, and "
+      "count checks from then on");
 }
 
 void AddJudging(const Command& command, EvaluateOptions* options) {
@@ -164,6 +196,30 @@ std::string CheckTruth(const EvaluateOptions& options) {
                  options.truth_files.size() == options.files.size()
              ? ""
              : "--truth: expected one for each FILE";
+}
+
+// Names what is wrong with the recordings; empty if nothing is.
+std::string CheckRecordings(const Command& command,
+                            const EvaluateFlags& flags) {
+  const EvaluateOptions& options = flags.options;
+  if (!options.recordings.has_value()) {
+    return command.Given("--seeds") ? "--seeds: goes with --recordings datum"
+                                    : "";
+  }
+  if (!options.one_vehicle || options.files.size() < 2) {
+    return "--recordings: goes with --one-vehicle and two files or more";
+  }
+  if (command.Given("--seeds") &&
+      options.recordings->kind != RecordingChoice::Kind::kDatum) {
+    return "--seeds: goes with --recordings datum, since nothing else is drawn";
+  }
+  for (const char* other :
+       {"--baselines", "--simulate", "--fix-noise", "--map", "--vehicle"}) {
+    if (command.Given(other)) {
+      return absl::StrCat("--recordings: does not go with ", other);
+    }
+  }
+  return "";
 }
 
 std::string CheckNumberOfDrives(const EvaluateOptions& options) {
@@ -242,6 +298,7 @@ std::string FinishOptions(const Command& command, EvaluateFlags* flags) {
   }
   std::string problem = CheckErrorModels(command, *flags);
   if (problem.empty()) problem = CheckTruth(options);
+  if (problem.empty()) problem = CheckRecordings(command, *flags);
   if (problem.empty()) problem = CheckNumberOfDrives(options);
   if (!problem.empty()) return problem;
   if (!flags->fix_noise.empty()) {

@@ -151,6 +151,13 @@ void TellCounts(const v1::Vehicle& vehicle, const G2oWriter::Counts& counts,
                     << ", loop closures: " << counts.closures
                     << ", without a measurement: " << counts.unmeasured_closures
                     << '\n';
+  if (counts.recordings > 0) {
+    terminal.progress << name
+                      << ": recordings behind the first: " << counts.recordings
+                      << ", without an edge to them: " << counts.untied
+                      << "; what an optimiser makes of their poses is in one "
+                         "frame: revise --common-frame\n";
+  }
   if (counts.gaps > 0) {
     terminal.progress << name << ": " << counts.gaps
                       << " steps lead over dropped poses; their edges are as "
@@ -169,17 +176,30 @@ absl::Status ExportG2o(const Client& client, const v1::Vehicle& vehicle,
   // Closures first: their poses are then among those that are read.
   const auto closures = ReadLoopClosures(client, vehicle.name());
   if (!closures.ok()) return closures.status();
+  const auto recordings = ReadRecordings(client, vehicle.name());
+  if (!recordings.ok()) return recordings.status();
+  // Optimisers begin from vertices, so these are in one frame, as far as it is
+  // known: that of the last recording.
+  const auto in_common_frame = [&](LocalPose pose) {
+    const v1::Recording* of = RecordingOf(*recordings, pose.sequence);
+    if (of == nullptr || !of->has_frame_pose() ||
+        of->frame_state() == v1::FRAME_STATE_SAME) {
+      return pose;
+    }
+    return InOuterFrame(pose, of->frame_pose());
+  };
   G2oWriter writer(vehicle.settings(), *closures, &out);
   const LocalFrame frame(vehicle.settings());
   Progress progress(terminal, vehicle.name(), vehicle.durable_sequence(),
                     "poses");
-  const absl::Status read = VisitBothViews(
-      client, vehicle.name(),
-      [&](const v1::Pose& current, const v1::Pose& as_sent) {
-        progress.Update(current.sequence());
-        writer.Add(frame.Localize(current), frame.Localize(as_sent));
-        return CheckOutput(out);
-      });
+  const absl::Status read =
+      VisitBothViews(client, vehicle.name(),
+                     [&](const v1::Pose& current, const v1::Pose& as_sent) {
+                       progress.Update(current.sequence());
+                       writer.Add(in_common_frame(frame.Localize(current)),
+                                  frame.Localize(as_sent));
+                       return CheckOutput(out);
+                     });
   if (!read.ok()) return read;
   if (absl::Status noted = NoteChange(client, vehicle, &progress);
       !noted.ok()) {
@@ -254,7 +274,10 @@ constexpr char kExportDetails[] =
     "as they were\n"
     "             sent, with the uncertainty that the step adds; an edge for "
     "each loop closure,\n"
-    "             as measured\n"
+    "             as measured. Recordings are in the frame of the last one, as "
+    "far as it is\n"
+    "             known, and joined by an edge with what was said of the gap "
+    "or of their datums\n"
     "The graph of nodes, spaced evenly, on which searches are made; with "
     "--view as-sent, of nodes\n"
     "along the path as it was sent:\n"
@@ -269,7 +292,8 @@ constexpr char kExportDetails[] =
     "trajectory, loop closures\n"
     "             and rejected candidates in longitude and latitude\n"
     "Numbers read back to the same bits. revisit revise brings optimised "
-    "poses back.";
+    "poses back. In tum, a comment marks where a recording begins; tum, kitti "
+    "and csv have each pose in the frame of its own recording.";
 
 constexpr char kExportExamples[] =
     "  revisit export shuttle-7 > graph.jsonl\n"

@@ -152,6 +152,19 @@ void AddReaderFlags(const Command& command, ReaderOptions* options) {
   ReaderFlags(command.Under("How files are read"), "", options).Add();
 }
 
+void AddRecording(const Command& command, RecordingChoice* choice) {
+  command.AddText(
+      "--recording", "RELATION",
+      [choice](const std::string& text) {
+        return ReadRecordingChoice(text, choice);
+      },
+      "Each FILE but the first, and with --append the first too, begins a "
+      "recording in a frame of its own: after[:METERSm,DEGREESdeg] (it begins "
+      "where the one before it ended, within so much; 10m,17.2deg), "
+      "datum:METERSm,DEGREESdeg[,ID] (it was placed in a frame that all of "
+      "them share, also the first), unknown, or same (they are in one frame)");
+}
+
 void AddTruthReaderFlags(const Command& command, ReaderOptions* options) {
   ReaderFlags(command.Under("How files of --truth are read"), "truth-", options)
       .Add();

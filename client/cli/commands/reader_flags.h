@@ -4,10 +4,15 @@
 
 #include "client/cli/flags.h"
 #include "client/formats/reader.h"
+#include "client/trajectory/recording_starts.h"
 
 namespace revisit::client {
 
 void AddReaderFlags(const Command& command, ReaderOptions* options);
+
+// What is known of the frames of recordings, of which each file but the first
+// begins one.
+void AddRecording(const Command& command, RecordingChoice* choice);
 
 // The same flags for the truth of a drive, such as --truth-axes.
 void AddTruthReaderFlags(const Command& command, ReaderOptions* options);

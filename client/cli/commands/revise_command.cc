@@ -11,6 +11,7 @@
 #include "client/answers/names.h"
 #include "client/revisit/printable_text.h"
 #include "client/trajectory/drive_poses.h"
+#include "client/trajectory/joined_covariances.h"
 #include "client/trajectory/local_pose.h"
 #include "client/trajectory/stored_poses.h"
 
@@ -136,6 +137,7 @@ v1::Pose Revised(const v1::Pose& stored, const OptimisedPose& optimised,
   const LocalPose local = frame.Localize(stored);
   v1::Pose pose = stored;
   pose.clear_stamp();
+  pose.clear_recording_start();
   if (stored.has_geodetic()) {
     *pose.mutable_covariance() = ToCovariance(local.covariance, spatial);
     if (local.error_transition) {
@@ -158,13 +160,25 @@ v1::Pose Revised(const v1::Pose& stored, const OptimisedPose& optimised,
   return pose;
 }
 
+// Gives a pose that is brought into a common frame its covariance there, unless
+// the file states one. `after` is the pose as revised.
+void Join(const LocalPose& before, const LocalPose& after, bool is_stated,
+          bool spatial, JoinedCovariances* joined, v1::Pose* revised) {
+  const StateMatrix covariance =
+      joined->Next(before, after.position, after.heading);
+  if (is_stated) return;
+  *revised->mutable_covariance() = ToCovariance(covariance, spatial);
+}
+
 // Messages of a revision, as large as is good for streams.
 class Messages {
  public:
-  Messages(const std::string& vehicle, std::uint64_t expected_revision) {
+  Messages(const std::string& vehicle, std::uint64_t expected_revision,
+           bool common_frame) {
     messages_.emplace_back();
     messages_.back().set_vehicle(vehicle);
     messages_.back().set_expected_revision(expected_revision);
+    messages_.back().set_common_frame(common_frame);
   }
 
   void Add(v1::Pose pose) {
@@ -224,7 +238,9 @@ void AddReviseCommand(const Command& program) {
        "       there, est_z, the quaternion and the covariance\n"
        "Positions are in the local frame, as revisit export writes them. "
        "Covariances that are\n"
-       "not in the file stay as they are stored. All poses change under one "
+       "not in the file stay as they are stored or, with --common-frame under "
+       "dead reckoning,\n"
+       "go on over the recordings. All poses change under one "
        "revision, or none:\n"
        "a line that belongs to no stored pose is refused, and so is a stored "
        "pose without a line.",
@@ -247,8 +263,20 @@ void AddReviseCommand(const Command& program) {
   command.AddSwitch("--partial", &options->partial,
                     "Let stored poses be missing from the file; they stay as "
                     "they are");
-  command.Runs([options](const Connection& server, const Terminal& terminal) {
+  command.AddSwitch("--common-frame", &options->common_frame,
+                    "The poses of all recordings are in one frame, as an "
+                    "optimiser leaves them: the vehicle has one recording from "
+                    "then on. Without it, each pose is in the frame of its own "
+                    "recording");
+  const Run run = [options](const Connection& server,
+                            const Terminal& terminal) {
     return RunRevise(server.client, *options, terminal);
+  };
+  command.Runs(run, [options]() -> std::string {
+    return options->common_frame && options->partial
+               ? "--common-frame: does not go with --partial, since poses that "
+                 "stay as they are stay in the frames of their recordings"
+               : "";
   });
 }
 
@@ -263,21 +291,31 @@ absl::Status RunRevise(const Client& client, const ReviseOptions& options,
   const LocalFrame frame(vehicle->settings());
   const bool spatial =
       vehicle->settings().state_space() == v1::STATE_SPACE_SPATIAL;
-  Messages messages(vehicle->name(), options.expected_revision != 0
-                                         ? options.expected_revision
-                                         : vehicle->revision());
+  Messages messages(vehicle->name(),
+                    options.expected_revision != 0 ? options.expected_revision
+                                                   : vehicle->revision(),
+                    options.common_frame);
+  // Where errors are carried on along the drive, over recordings too.
+  const bool is_joined =
+      options.common_frame && vehicle->settings().correlation_model() ==
+                                  v1::CORRELATION_MODEL_DEAD_RECKONING;
+  JoinedCovariances joined;
   std::uint64_t stored = 0;
-  const absl::Status matched =
-      VisitPoses(client, vehicle->name(), v1::POSE_VIEW_CURRENT,
-                 [&](const v1::Pose& pose) {
-                   ++stored;
-                   const auto found = optimised->Find(pose);
-                   if (!found.ok()) return found.status();
-                   if (*found != nullptr) {
-                     messages.Add(Revised(pose, **found, frame, spatial));
-                   }
-                   return absl::OkStatus();
-                 });
+  const absl::Status matched = VisitPoses(
+      client, vehicle->name(), v1::POSE_VIEW_CURRENT,
+      [&](const v1::Pose& pose) {
+        ++stored;
+        const auto found = optimised->Find(pose);
+        if (!found.ok()) return found.status();
+        if (*found == nullptr) return absl::OkStatus();
+        v1::Pose revised = Revised(pose, **found, frame, spatial);
+        if (is_joined) {
+          Join(frame.Localize(pose), frame.Localize(revised),
+               (*found)->covariance.has_value(), spatial, &joined, &revised);
+        }
+        messages.Add(std::move(revised));
+        return absl::OkStatus();
+      });
   if (!matched.ok()) return matched;
   const auto missing = optimised->CountDropped(*vehicle);
   if (!missing.ok()) return missing.status();

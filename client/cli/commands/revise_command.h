@@ -23,6 +23,10 @@ struct ReviseOptions {
   std::uint64_t expected_revision = 0;
   // Whether poses may be missing from the file.
   bool partial = false;
+  // Whether all poses of the file are in one frame, that of the first one's
+  // recording: from then on the vehicle has a single recording. Not together
+  // with `partial`.
+  bool common_frame = false;
 };
 
 // Replaces the estimates of all poses that the file names, or of none.

@@ -57,16 +57,18 @@ bool IsFilter(const v1::Vehicle& vehicle) {
 SampleSender::SampleSender(const std::shared_ptr<grpc::Channel>& channel,
                            const StreamOptions& options,
                            const PoseStreamCallbacks& callbacks,
-                           const Terminal& terminal)
+                           const Terminal& terminal, Progress* progress)
     : channel_(channel),
       options_(options),
       callbacks_(callbacks),
-      terminal_(terminal) {}
+      terminal_(terminal),
+      progress_(*progress) {}
 
 void SampleSender::BeginFile(const std::string& file) {
   LetGo();
   file_ = file;
   if (claims_.has_value()) claims_->BeginRecording(file);
+  if (starts_.has_value()) starts_->BeginFile(file);
 }
 
 absl::Status SampleSender::FinishStream() {
@@ -193,6 +195,12 @@ absl::Status SampleSender::CheckThatSamplesFit(const Sample& first) const {
         " holds latitude and longitude; --frame local makes them metres east "
         "and north of the first one"));
   }
+  if (geodetic && options_.recording.kind != RecordingChoice::Kind::kByPoses &&
+      options_.recording.kind != RecordingChoice::Kind::kSame) {
+    return unfit(
+        "takes geodetic positions, which are in one frame whatever was "
+        "recorded when: --recording goes with local ones");
+  }
   if (IsFilter(vehicle_) &&
       (!first.error_transition.has_value() ||
        settings.state_space() == v1::STATE_SPACE_SPATIAL)) {
@@ -236,6 +244,15 @@ void SampleSender::ChooseUncertainty() {
   UncertaintyOptions uncertainty = options_.uncertainty;
   uncertainty.source = source_;
   claims_.emplace(uncertainty, file_);
+  // Other errors are not carried on along the drive, and where the start's are
+  // given, they are those in the frame of the recordings before.
+  const v1::CorrelationModel model = vehicle_.settings().correlation_model();
+  const bool is_carried = (model == v1::CORRELATION_MODEL_UNSPECIFIED ||
+                           model == v1::CORRELATION_MODEL_DEAD_RECKONING) &&
+                          source_ != UncertaintyOptions::Source::kFixes;
+  starts_.emplace(options_.recording, vehicle_.settings().state_space(),
+                  is_carried && !uncertainty.start_is_given);
+  starts_->BeginFile(file_);
   if (uncertainty.source == UncertaintyOptions::Source::kFixes &&
       vehicle_.settings().correlation_model() ==
           v1::CORRELATION_MODEL_DEAD_RECKONING) {
@@ -272,23 +289,35 @@ absl::Status SampleSender::KeepSession() {
   return Client(channel_).UpdateVehicle(request).status();
 }
 
-// A second recording begins as uncertain as the first one ended.
-absl::Status SampleSender::ContinueClaims() {
+// What goes on in the same frame begins as uncertain as the last pose is.
+absl::Status SampleSender::ContinueBehindStored() {
   if (!options_.append || already_durable_ == 0) return absl::OkStatus();
   v1::ListPosesRequest request;
   request.set_parent(vehicle_.name());
-  request.set_first_sequence(already_durable_);
-  request.set_page_size(1);
-  const auto last = Client(channel_).ListPoses(request);
-  if (!last.ok()) return last.status();
-  if (last->poses_size() != 1 || !last->poses(0).has_local()) {
-    return absl::OkStatus();
+  request.set_first_sequence(std::max<std::uint64_t>(already_durable_, 2) - 1);
+  request.set_page_size(2);
+  request.set_view(v1::POSE_VIEW_AS_SENT);
+  const auto stored = Client(channel_).ListPoses(request);
+  if (!stored.ok()) return stored.status();
+  const LocalFrame frame(vehicle_.settings());
+  std::optional<RecordingStarts::Place> before;
+  for (const v1::Pose& one : stored->poses()) {
+    if (!one.has_local()) return absl::OkStatus();
+    const LocalPose pose = frame.Localize(one);
+    RecordingStarts::Place place;
+    place.pose = {pose.position[0], pose.position[1], pose.heading};
+    if (pose.stamp) {
+      place.time_nanoseconds =
+          pose.stamp->seconds() * 1'000'000'000 + pose.stamp->nanos();
+    }
+    if (one.sequence() != already_durable_) {
+      before = place;
+      continue;
+    }
+    const StateMatrix& c = pose.covariance;
+    claims_->ContinueFrom(place.pose, {c[0], c[1], c[3], c[5], c[7], c[15]});
+    starts_->ContinueFrom(before, place);
   }
-  const LocalPose pose =
-      LocalFrame(vehicle_.settings()).Localize(last->poses(0));
-  const StateMatrix& c = pose.covariance;
-  claims_->ContinueFrom({pose.position[0], pose.position[1], pose.heading},
-                        {c[0], c[1], c[3], c[5], c[7], c[15]});
   return absl::OkStatus();
 }
 
@@ -318,22 +347,41 @@ absl::Status SampleSender::Open() {
   if (absl::Status status = CheckThatSessionIsFree(); !status.ok()) {
     return status;
   }
-  return ContinueClaims();
+  return ContinueBehindStored();
+}
+
+absl::StatusOr<v1::Pose> SampleSender::MakePoseOf(const Sample& sample,
+                                                  std::uint64_t sequence) {
+  auto begun = starts_->Next(sample);
+  if (!begun.ok()) return begun.status();
+  if (begun->has_value()) {
+    claims_->BeginFrame();
+    if (!(*begun)->note.empty()) progress_.Note((*begun)->note);
+  }
+  const auto claim = claims_->Next(sample);
+  if (!claim.ok()) return claim.status();
+  v1::Pose pose =
+      MakePose(sample, *claim, vehicle_.settings().state_space(), sequence);
+  if (begun->has_value()) {
+    *pose.mutable_recording_start() = std::move((*begun)->start);
+  }
+  return pose;
 }
 
 void SampleSender::Send(const Sample& sample) {
   if (!status_.ok()) return;
   const std::uint64_t sequence = base_ + ++sent_;
-  const auto claim = claims_->Next(sample);
-  if (!claim.ok()) {
-    status_ = LocalError(claim.status());
+  auto made = MakePoseOf(sample, sequence);
+  if (!made.ok()) {
+    status_ = LocalError(made.status());
     return;
   }
   // The last durable pose is sent again, for the server to compare it.
   if (!options_.append && sequence < already_durable_) return;
   v1::Pose* pose = batch_.add_poses();
-  *pose = MakePose(sample, *claim, vehicle_.settings().state_space(), sequence);
-  if (IsFilter(vehicle_) && sequence > 1) {
+  *pose = *std::move(made);
+  // A filter that begins anew has no transition to tell.
+  if (IsFilter(vehicle_) && sequence > 1 && !pose->has_recording_start()) {
     if (!sample.error_transition.has_value()) {
       status_ = LocalError(absl::InvalidArgumentError(absl::StrCat(
           file_, ":", sample.line,

@@ -16,6 +16,7 @@
 #include "client/revisit/pose_stream.h"
 #include "client/terminal/terminal.h"
 #include "client/trajectory/dead_reckoning.h"
+#include "client/trajectory/recording_starts.h"
 #include "revisit/v1/vehicle.pb.h"
 
 namespace revisit::client {
@@ -24,10 +25,12 @@ namespace revisit::client {
 // thread-safe.
 class SampleSender {
  public:
-  // All arguments must outlive it. `callbacks` are those of the stream.
+  // All arguments must outlive it. `callbacks` are those of the stream;
+  // `progress` is told of recordings that begin by themselves.
   SampleSender(const std::shared_ptr<grpc::Channel>& channel,
                const StreamOptions& options,
-               const PoseStreamCallbacks& callbacks, const Terminal& terminal);
+               const PoseStreamCallbacks& callbacks, const Terminal& terminal,
+               Progress* progress);
 
   // The samples that follow come from this file. Lets go those before.
   void BeginFile(const std::string& file);
@@ -60,6 +63,8 @@ class SampleSender {
   const PoseStream& stream() const { return *stream_; }
   std::uint64_t already_durable() const { return already_durable_; }
   std::uint64_t taken() const { return taken_; }
+  // How many of the samples begin a recording. REQUIRES: as vehicle().
+  int recordings() const { return starts_->count(); }
   // The word of --uncertainty for what was claimed. REQUIRES: as vehicle().
   std::string uncertainty() const;
 
@@ -72,7 +77,11 @@ class SampleSender {
   absl::StatusOr<v1::Vehicle> GetOrCreate(const Sample& first);
   absl::Status CheckThatSamplesFit(const Sample& first) const;
   void ChooseUncertainty();
-  absl::Status ContinueClaims();
+  // Begins behind the poses that are stored.
+  absl::Status ContinueBehindStored();
+  // The next pose, with all that it brings.
+  absl::StatusOr<v1::Pose> MakePoseOf(const Sample& sample,
+                                      std::uint64_t sequence);
   // FAILED_PRECONDITION if other poses have the session's name.
   absl::Status CheckThatSessionIsFree() const;
   void Send(const Sample& sample);
@@ -82,6 +91,7 @@ class SampleSender {
   const StreamOptions& options_;
   const PoseStreamCallbacks& callbacks_;
   const Terminal& terminal_;
+  Progress& progress_;
 
   std::string file_;
   // Why nothing more is sent.
@@ -92,6 +102,7 @@ class SampleSender {
   v1::Vehicle vehicle_;
   UncertaintyOptions::Source source_ = UncertaintyOptions::Source::kModel;
   std::optional<UncertaintyClaims> claims_;
+  std::optional<RecordingStarts> starts_;
   std::unique_ptr<PoseStream> stream_;
   // Handles Ctrl-C from the opening of the stream to its end.
   std::optional<StreamInterrupt> interrupt_;

@@ -83,7 +83,12 @@ constexpr char kStreamDetails[] =
     "they do not move, they are left out. What\nlooks like wrong axes, "
     "units or orders is refused; the message says which flag mends it.\n\n"
     "Covariances of the file are claimed where they grow along the drive; the "
-    "last lines say what was claimed, and how long the drive is.";
+    "last lines say what was claimed, and how long the drive is.\n\n"
+    "An odometry that was switched off and on again goes on in a frame of its "
+    "own: there a\nrecording begins, and searches look in those before it. A "
+    "file whose first pose does not go\non where the one before it ended "
+    "begins one by itself, and so does an odometry of ROS that\nis back at its "
+    "start; a line says so, and --recording says what is known of the frame.";
 
 constexpr char kStreamExamples[] =
     "  revisit stream drive.csv --vehicle shuttle-7\n"
@@ -95,6 +100,8 @@ constexpr char kStreamExamples[] =
     "shuttle-7\n"
     "  revisit stream tuesday.pos --vehicle shuttle-7 --append --session "
     "tuesday\n"
+    "  revisit stream monday.csv tuesday.csv --vehicle shuttle-7 "
+    "--recording datum:10m,1deg\n"
     "  ros2 topic echo --csv /odom | revisit stream - --vehicle shuttle-7\n"
     "  revisit stream drive.csv --vehicle shuttle-7 --candidates "
     "--direction either --json";
@@ -115,6 +122,7 @@ void AddVehicleFlags(const Command& command, StreamOptions* options) {
   command.AddSwitch("--append", &options->append,
                     "Give the first pose the sequence behind the durable ones "
                     "and compare nothing: another recording of the vehicle");
+  AddRecording(command, &options->recording);
   command.AddText("--session", "NAME", &options->session,
                   "Keep the range of these poses as the vehicle's label "
                   "session.NAME");
@@ -221,6 +229,7 @@ void FinishSummary(const StreamOptions& options, const SampleSender& sender,
   summary->vehicle = sender.vehicle().name();
   summary->vehicle_uid = sender.stream().vehicle_uid();
   summary->poses = sender.taken();
+  summary->recordings = sender.recordings();
   summary->uncertainty = sender.uncertainty();
   summary->already_durable = sender.already_durable();
   summary->durable = sender.stream().acked_sequence();
@@ -277,7 +286,7 @@ absl::Status RunStream(const std::shared_ptr<grpc::Channel>& channel,
   Tally tally;
   const PoseStreamCallbacks callbacks =
       MakeCallbacks(&tally, &progress, terminal);
-  SampleSender sender(channel, options, callbacks, terminal);
+  SampleSender sender(channel, options, callbacks, terminal, &progress);
   ReaderOptions reader_options = options.reader;
   reader_options.before_wait = [&sender] { return sender.BeforeWait(); };
   const auto start = Clock::now();

@@ -15,6 +15,7 @@
 #include "client/revisit/client.h"
 #include "client/terminal/terminal.h"
 #include "client/trajectory/dead_reckoning.h"
+#include "client/trajectory/recording_starts.h"
 #include "revisit/v1/candidate.pb.h"
 
 namespace grpc {
@@ -36,6 +37,9 @@ struct StreamOptions {
   // claimed by the model.
   UncertaintyOptions uncertainty;
   bool uncertainty_given = false;
+  // Where recordings begin, and what is known of their frames. Of geodetic
+  // vehicles it is kByPoses or kSame.
+  RecordingChoice recording;
   // Whether to create the vehicle if there is none, with `settings`, the frame
   // of the files, and INDEPENDENT errors for fixes unless `settings` has a
   // correlation model.
@@ -63,7 +67,9 @@ struct StreamOptions {
 // together gets sequence i, and so does pose i of a pipe. Goes on where the
 // vehicle's durable poses end, after the server has compared the last of these
 // with the files'; with `append`, the first pose gets the next sequence and
-// nothing is compared. Any truth in the files is not sent.
+// nothing is compared. Any truth in the files is not sent. Where a recording
+// begins, its first pose says so (Pose.recording_start), and its errors are
+// claimed anew.
 //
 // The first few thousand samples, or what a pipe brings at once, are held back
 // until they have been looked at: what is suspicious then creates no vehicle

@@ -18,6 +18,7 @@ void PrintJson(const StreamSummary& summary, std::ostream& out) {
   json["vehicle"] = summary.vehicle;
   json["vehicleUid"] = summary.vehicle_uid;
   json["poses"] = summary.poses;
+  json["recordings"] = summary.recordings;
   json["lengthMeters"] = summary.drive.length_meters();
   json["durationSeconds"] = summary.drive.seconds();
   json["pausedSeconds"] = summary.drive.paused_seconds();
@@ -61,6 +62,9 @@ void PrintText(const StreamSummary& summary, std::ostream& out) {
   if (const std::string left_out = Describe(summary.left_out);
       !left_out.empty()) {
     fields.emplace_back("left out", left_out);
+  }
+  if (summary.recordings > 0) {
+    fields.emplace_back("recordings begun", absl::StrCat(summary.recordings));
   }
   fields.insert(
       fields.end(),

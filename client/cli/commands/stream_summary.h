@@ -42,6 +42,8 @@ struct StreamSummary {
   std::string vehicle;
   std::string vehicle_uid;
   std::size_t poses = 0;
+  // How many of the poses begin a recording.
+  int recordings = 0;
   DriveExtent drive;
   LeftOut left_out;
   // The word of --uncertainty for what was claimed.

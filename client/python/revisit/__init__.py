@@ -39,6 +39,7 @@ from revisit.errors import (
 )
 from revisit.maps import Map
 from revisit.pose_stream import PoseStream
+from revisit.recording_starts import recording_start
 from revisit.recordings import RecordingError, iter_recording, read_recording
 from revisit.stream_options import ProgressBar, StreamCallbacks, StreamOptions
 from revisit.tables import (
@@ -48,6 +49,7 @@ from revisit.tables import (
     check_table,
     edge_table,
     node_table,
+    recording_table,
 )
 
 __all__ = [
@@ -58,5 +60,6 @@ __all__ = [
     "RecordingError", "ResourceExhausted", "StreamCallbacks", "StreamOptions",
     "Table", "Unauthenticated", "Unavailable", "Unimplemented", "VehicleReplaced",
     "__version__", "aio", "candidate_table", "check_table", "edge_table",
-    "iter_recording", "node_table", "read_recording", "v1",
+    "iter_recording", "node_table", "read_recording", "recording_start",
+    "recording_table", "v1",
 ]

@@ -197,8 +197,14 @@ def list_poses(vehicle: str, first_sequence: int, as_sent: bool) -> Pages[v1.Pos
     ), "poses", order=lambda pose: pose.sequence)
 
 
-def revise_poses(vehicle: str, poses: PosesLike,
-                 expected_revision: int) -> Call[v1.RevisePosesResponse]:
+def list_recordings(vehicle: str) -> Pages[v1.Recording]:
+    return Pages("ListRecordings", v1.ListRecordingsRequest(
+        parent=vehicle_name(vehicle), page_size=_PAGE), "recordings",
+        order=lambda recording: recording.first_sequence)
+
+
+def revise_poses(vehicle: str, poses: PosesLike, expected_revision: int,
+                 common_frame: bool) -> Call[v1.RevisePosesResponse]:
     revised = list(_messages(poses))
 
     def requests() -> Iterator[v1.RevisePosesRequest]:
@@ -206,6 +212,7 @@ def revise_poses(vehicle: str, poses: PosesLike,
             yield v1.RevisePosesRequest(
                 vehicle=vehicle_name(vehicle),
                 expected_revision=expected_revision if start == 0 else 0,
+                common_frame=common_frame and start == 0,
                 poses=revised[start:start + _REVISED_POSES])
 
     return Call("RevisePoses", requests, lambda answer: answer,

@@ -44,10 +44,11 @@ _ADVICE = {
 #: For findings that no setting mends.
 _FINDING_ADVICE = {
     v1.FindingCode.Name(v1.FINDING_CODE_NEW_FRAME):
-        "stream each recording into a vehicle of its own; "
-        "read_recording([first, second], start_sigma_position=..., "
-        "start_sigma_heading=...) claims how uncertain the second one's start is in "
-        "the frame of the first",
+        'let the first pose in the new frame begin a recording: '
+        'poses.as_recording("after") if the vehicle stayed about where it was, '
+        '"datum:10m,1deg" if the frame was placed in one that all share, "unknown" '
+        "otherwise; read_recording([first, second], recording=...) takes the same "
+        "words",
 }
 
 

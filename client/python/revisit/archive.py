@@ -10,7 +10,8 @@ that are in one may go from the server. Needs pyarrow.
 Columns, with null where a pose has none: `sequence`, `stamp` (nanoseconds, UTC), `x`,
 `y`, `z` in metres, or `latitude`, `longitude` in degrees and `height` in metres,
 `heading` in radians, `quaternion` (x, y, z, w), `covariance_form` (the name in the
-API), `covariance`, `error_transition`. The metadata have `vehicle` and `vehicle_uid`.
+API), `covariance`, `error_transition`, `recording_start` (a serialised
+revisit.v1.RecordingStart). The metadata have `vehicle` and `vehicle_uid`.
 """
 
 from __future__ import annotations
@@ -117,7 +118,7 @@ def _schema(vehicle: v1.Vehicle, place: str) -> pyarrow.Schema:
         [("sequence", pyarrow.uint64()), ("stamp", pyarrow.timestamp("ns", tz="UTC")),
          *numbers, ("heading", pyarrow.float64()), ("quaternion", _NUMBERS),
          ("covariance_form", pyarrow.string()), ("covariance", _NUMBERS),
-         ("error_transition", _NUMBERS)],
+         ("error_transition", _NUMBERS), ("recording_start", pyarrow.binary())],
         metadata={"vehicle": vehicle.name, "vehicle_uid": vehicle.uid})
 
 
@@ -134,6 +135,9 @@ def _table(poses: list[v1.Pose], schema: pyarrow.Schema,
                             for pose in poses],
         "covariance": [list(pose.covariance.values) for pose in poses],
         "error_transition": [list(pose.error_transition) or None for pose in poses],
+        "recording_start": [
+            pose.recording_start.SerializeToString(deterministic=True)
+            if pose.HasField("recording_start") else None for pose in poses],
     }
     for name, field in _PLACES[place]:
         columns[name] = [getattr(getattr(pose, place), field) for pose in poses]
@@ -188,6 +192,10 @@ def _message(row: dict[str, Any], stamp: Optional[int], place: str) -> v1.Pose:
     pose.covariance.CopyFrom(v1.Covariance(form=row["covariance_form"],
                                            values=row["covariance"]))
     pose.error_transition.extend(row["error_transition"] or ())
+    # Files of earlier versions have none.
+    if row.get("recording_start") is not None:
+        pose.recording_start.ParseFromString(row["recording_start"])
+        pose.recording_start.SetInParent()
     return pose
 
 

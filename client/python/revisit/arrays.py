@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from revisit import v1
 from revisit._display import html_table, spread
+from revisit.recording_starts import recording_start as start_of
 
 if TYPE_CHECKING:
     import pandas
@@ -205,6 +206,8 @@ class Poses:
     covariance_form: NDArray[np.int32]
     #: (N, 9) or (N, 16), NaN where absent; (N, 0) if no pose has any.
     error_transition: Float
+    #: v1.RecordingStart where a recording begins, None elsewhere.
+    recording_start: NDArray[np.object_]
 
     @classmethod
     def local(cls, x: ArrayLike, y: ArrayLike, heading: Optional[ArrayLike],
@@ -264,7 +267,8 @@ class Poses:
             quaternion=_table(quaternion, "quaternion", rows, (4,)),
             covariance=numbers, covariance_form=np.full(rows, form, np.int32),
             error_transition=_table(error_transition, "error_transition", rows,
-                                    (0, 9, 16)))
+                                    (0, 9, 16)),
+            recording_start=np.full(rows, None))
 
     @classmethod
     def from_messages(cls, messages: Iterable[v1.Pose]) -> Poses:
@@ -280,7 +284,8 @@ class Poses:
             quaternion=np.full((rows, 4), np.nan),
             covariance=np.full((rows, width), np.nan),
             covariance_form=np.zeros(rows, np.int32),
-            error_transition=np.full((rows, transition), np.nan))
+            error_transition=np.full((rows, transition), np.nan),
+            recording_start=np.full(rows, None))
         for row, pose in enumerate(poses):
             made._set(row, pose)
         return made
@@ -306,6 +311,10 @@ class Poses:
         self.covariance[row, :len(pose.covariance.values)] = pose.covariance.values
         self.error_transition[row, :len(pose.error_transition)] = (
             pose.error_transition)
+        if pose.HasField("recording_start"):
+            kept = v1.RecordingStart()
+            kept.CopyFrom(pose.recording_start)
+            self.recording_start[row] = kept
 
     def __len__(self) -> int:
         return len(self.sequence)
@@ -320,6 +329,19 @@ class Poses:
         """The same poses with consecutive sequences from this one on."""
         return dataclasses.replace(self, sequence=np.arange(
             first_sequence, first_sequence + len(self), dtype=np.uint64))
+
+    def as_recording(self, start: Union[str, v1.RecordingStart] = "after", *,
+                     label: str = "") -> Poses:
+        """The same poses, of which the first begins a recording: from there on they
+        are in a frame of their own. `start` is what is known of that frame, as
+        `recording_start()` takes it, or the message itself. ValueError if there is no
+        pose."""
+        if len(self) == 0:
+            raise ValueError("there is no pose that could begin a recording")
+        starts = self.recording_start.copy()
+        starts[0] = (start_of(start, label=label) if isinstance(start, str)
+                     else start)
+        return dataclasses.replace(self, recording_start=starts)
 
     def with_body(self, axes: str = "flu", *, yaw: float = 0.0) -> Poses:
         """The same poses, of a body whose axes are forward, left, up as the API wants
@@ -349,6 +371,7 @@ class Poses:
         turned = (~np.all(np.isnan(self.quaternion), axis=1)).tolist()
         forms = self.covariance_form.tolist()
         carried = (~np.all(np.isnan(self.error_transition), axis=1)).tolist()
+        starts = self.recording_start.tolist()
         for row, sequence in enumerate(sequences):
             pose = v1.Pose(sequence=sequence)
             first, second, third = positions[row]
@@ -373,6 +396,8 @@ class Poses:
             pose.covariance.values.extend(self.covariance[row, :size].tolist())
             if carried[row]:
                 pose.error_transition.extend(self.error_transition[row].tolist())
+            if starts[row] is not None:
+                pose.recording_start.CopyFrom(starts[row])
             yield pose
 
     def times(self) -> list[Optional[datetime.datetime]]:

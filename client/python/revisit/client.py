@@ -200,12 +200,21 @@ class Client:
             _calls.counted(pose, progress)
             for pose in self.list_poses(vehicle, first_sequence, as_sent=as_sent))
 
+    def list_recordings(self, vehicle: str) -> Iterator[v1.Recording]:
+        """A vehicle's recordings, the oldest first, with where the frame of each lies
+        in that of the last one; `recording_table()` makes columns of them."""
+        return self._pages(_calls.list_recordings(vehicle))
+
     def revise_poses(self, vehicle: str, poses: PosesLike,
-                     expected_revision: int = 0) -> v1.RevisePosesResponse:
+                     expected_revision: int = 0, *,
+                     common_frame: bool = False) -> v1.RevisePosesResponse:
         """Replaces the estimates of poses in one step, after an optimiser ran. With
         the revision that the optimiser started from, Aborted if the vehicle has
-        another one by now. The warnings of the answer are logged too."""
-        answer = self._run(_calls.revise_poses(vehicle, poses, expected_revision))
+        another one by now. Poses stay in the frames of their recordings or, with
+        `common_frame`, all of the vehicle's are in one from now on, as a single
+        recording. The warnings of the answer are logged too."""
+        answer = self._run(_calls.revise_poses(vehicle, poses, expected_revision,
+                                               common_frame))
         log_warnings(vehicle_name(vehicle), answer, set())
         return answer
 

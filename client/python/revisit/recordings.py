@@ -35,11 +35,16 @@ def read_recording(path: Union[PathLike, Sequence[PathLike]], *,
     name or, without any, the one that the program chooses by the file; where the file
     has covariances, a logged line says what became of them.
 
+    A file that does not go on where the one before it ended begins a recording, in a
+    frame of its own, and so does an odometry of ROS that is back at its start; a logged
+    line says so, and `recording` ("after", "datum:10m,1deg", "unknown", "same") what is
+    known of the frame.
+
     `flags` are those of `revisit convert`: `format`, `columns` (a mapping, or text such
     as "t=time,x=east,y=north,yaw=psi"), `times`, `rate`, `time_unit`, `axes`, `angles`,
-    `quaternion`, `frame`, `accept_suspicious`; `uncertainty`, `sigma_along` and the
-    other sigmas; `state_space` and `correlation_model` of the vehicle that the poses
-    are for. `progress` is told of each pose.
+    `quaternion`, `frame`, `accept_suspicious`; `recording`; `uncertainty`,
+    `sigma_along` and the other sigmas; `state_space` and `correlation_model` of the
+    vehicle that the poses are for. `progress` is told of each pose.
 
     RecordingError if a file is malformed or suspicious; FileNotFoundError and
     PermissionError, also if there is no program; ValueError for a wrong flag."""

@@ -11,6 +11,10 @@ sensor_msgs/NavSatFix becomes geodetic poses, for a vehicle whose coordinate fra
 GEODETIC and whose correlation model is INDEPENDENT. A fix has no heading: it is the
 course from an earlier fix, and fixes that have hardly moved are left out.
 
+An odometry that began anew while the bag was written, and leaps back to its start or to
+the origin without a larger covariance, begins a recording there (Pose.recording_start,
+"after"): the poses behind it are in a frame of their own. A logged line says so.
+
 Needs the package rosbags, the extra `rosbag` of this one.
 """
 
@@ -18,6 +22,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import logging
 import math
 import os
 import pathlib
@@ -27,7 +32,11 @@ from typing import Any, Optional, Union
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from revisit._text import printable
 from revisit.arrays import Poses
+from revisit.recording_starts import recording_start
+
+_log = logging.getLogger("revisit")
 
 Float = NDArray[np.float64]
 PathLike = Union[str, "os.PathLike[str]"]
@@ -47,6 +56,12 @@ _LONGEST_CHORD = 100.0
 #: sensor_msgs/NavSatFix and NavSatStatus.
 _COVARIANCE_TYPE_UNKNOWN = 0
 _STATUS_NO_FIX = -1
+# When an odometry began anew, as the service tells a new frame from poses.
+_LEAP_METERS = 20.0
+_USUAL_STEPS = 4.0
+_RETURN_METERS = 1.0
+_RETURN_RADIANS = 0.2
+_FALL = 4.0
 
 
 @dataclasses.dataclass
@@ -58,11 +73,14 @@ class _Row:
     covariance: Float
     quaternion: Optional[tuple[float, float, float, float]] = None
     heading: float = math.nan
+    #: Whether an odometry began anew with it.
+    restarts: bool = False
 
 
 def iter_poses(path: PathLike, topic: Optional[str] = None, *,
                covariance: Optional[ArrayLike] = None, course_step: float = 5.0,
-               after: int = 0, batch: int = 1000) -> Iterator[Poses]:
+               after: int = 0, batch: int = 1000,
+               recordings: bool = True) -> Iterator[Poses]:
     """The poses of a topic in the order in which they were recorded, numbered from
     1, some at a time.
 
@@ -74,12 +92,15 @@ def iter_poses(path: PathLike, topic: Optional[str] = None, *,
     fixes is taken. Poses up to the sequence `after` are left out, to go on where a
     vehicle stands.
 
+    Without `recordings`, an odometry that began anew is taken for one frame.
+
     ImportError without rosbags; ValueError if the bag cannot be read or has no such
     topic, or if a message states no covariance."""
     rows: list[_Row] = []
     is_geodetic = False
     sequence = 0
-    for is_geodetic, row in _rows(path, topic, covariance, course_step):
+    for is_geodetic, row in _marked(
+            _rows(path, topic, covariance, course_step), path, recordings):
         sequence += 1
         if sequence <= after:
             continue
@@ -93,10 +114,11 @@ def iter_poses(path: PathLike, topic: Optional[str] = None, *,
 
 def read_poses(path: PathLike, topic: Optional[str] = None, *,
                covariance: Optional[ArrayLike] = None,
-               course_step: float = 5.0) -> Poses:
+               course_step: float = 5.0, recordings: bool = True) -> Poses:
     """All poses of a topic at once, as `iter_poses()` describes."""
     rows, is_geodetic = [], False
-    for is_geodetic, row in _rows(path, topic, covariance, course_step):
+    for is_geodetic, row in _marked(
+            _rows(path, topic, covariance, course_step), path, recordings):
         rows.append(row)
     if not rows:
         raise ValueError(f"{os.fspath(path)} has no usable message of the topic")
@@ -120,10 +142,77 @@ def _poses(rows: list[_Row], is_geodetic: bool, last_sequence: int) -> Poses:
         return Poses.geodetic(
             position[:, 0], position[:, 1], [row.heading for row in rows], numbers,
             height=position[:, 2], stamps=stamps, sequence=sequence)
-    return Poses.local(
+    poses = Poses.local(
         position[:, 0], position[:, 1], None, numbers, z=position[:, 2],
         stamps=stamps, sequence=sequence,
         quaternion=np.array([row.quaternion for row in rows]))
+    for place, row in enumerate(rows):
+        if row.restarts:
+            poses.recording_start[place] = recording_start("after")
+    return poses
+
+
+def _marked(rows: Iterator[tuple[bool, _Row]], path: PathLike,
+            recordings: bool) -> Iterator[tuple[bool, _Row]]:
+    """The rows, marked where an odometry began anew."""
+    watch = _Restarts()
+    for number, (is_geodetic, row) in enumerate(rows, 1):
+        if recordings and not is_geodetic and watch.observe(row):
+            row.restarts = True
+            _log.warning(
+                "%s: the odometry is back at its start with pose %d, so it began anew: "
+                "another recording begins (recordings=False: it is in the same frame)",
+                printable(os.fspath(path)), number)
+        yield is_geodetic, row
+
+
+def _yaw(turn: tuple[float, float, float, float]) -> float:
+    x, y, z, w = turn
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+class _Restarts:
+    """Watches for where an odometry began anew: it is back at its first pose or at the
+    origin, heading as there, and has leapt there while nothing says that more is
+    uncertain, or its covariance has fallen, which errors that add up do not allow."""
+
+    def __init__(self) -> None:
+        self._first: Optional[_Row] = None
+        self._last: Optional[_Row] = None
+        self._last_step = 0.0
+
+    def observe(self, row: _Row) -> bool:
+        step = 0.0
+        if self._last is not None:
+            step = math.dist(self._last.position[:2], row.position[:2])
+        restarts = self._last is not None and self._is_restart(self._last, row, step)
+        if restarts or self._first is None:
+            self._first = row
+        self._last, self._last_step = row, 0.0 if restarts else step
+        return restarts
+
+    def _is_restart(self, last: _Row, row: _Row, step: float) -> bool:
+        assert self._first is not None
+        assert self._first.quaternion is not None and row.quaternion is not None
+        yaw = _yaw(row.quaternion)
+        places = ((self._first.position[:2], _yaw(self._first.quaternion)),
+                  ((0.0, 0.0), 0.0))
+        if not any(math.dist(place, row.position[:2]) <= _RETURN_METERS
+                   and abs(math.remainder(yaw - heading, math.tau)) <= _RETURN_RADIANS
+                   for place, heading in places):
+            return False
+        was, now = last.covariance, row.covariance
+        # Of x and y, and of the turn about z.
+        variance_was, variance_now = was[0] + was[7], now[0] + now[7]
+        turn_was, turn_now = was[35], now[35]
+        if step >= _LEAP_METERS and step >= _USUAL_STEPS * self._last_step:
+            return bool(variance_now <= variance_was and turn_now <= turn_was)
+        dx = row.position[0] - last.position[0]
+        dy = row.position[1] - last.position[1]
+        carried = (variance_was + 2.0 * (dx * was[11] - dy * was[5])
+                   + (dx * dx + dy * dy) * turn_was)
+        return bool(_FALL * variance_now < min(variance_was, carried)
+                    and _FALL * turn_now < turn_was)
 
 
 def _open(path: PathLike) -> Any:

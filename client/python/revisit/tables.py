@@ -151,6 +151,37 @@ def edge_table(edges: Iterable[v1.Edge]) -> Table:
         "kind": _names(rows, lambda row: row.kind, v1.EdgeKind, "EDGE_KIND_")})
 
 
+def recording_table(recordings: Iterable[v1.Recording]) -> Table:
+    """A row per recording, as `client.list_recordings()` lists them: `name`, `label`,
+    `first_sequence`, `last_sequence`, `relation` ("after", "datum", "unknown", or "" of
+    a first one that was not told of any), `frame_state` ("SAME", "AFTER", "DATUM",
+    "PROVISIONAL", "KNOWN", "NONE"), and the pose of its frame in that of the last one:
+    `frame_x`, `frame_y`, `frame_z`, `frame_heading`, with `frame_covariance` at the
+    place `reference_x`, `reference_y` of its own frame (NaN where absent)."""
+    rows = list(recordings)
+
+    def relation(row: v1.Recording) -> str:
+        if not row.HasField("start"):
+            return ""
+        return row.start.WhichOneof("relation") or "after"
+
+    columns: dict[str, Array] = {
+        "name": np.array([row.name for row in rows], dtype=np.str_),
+        "label": np.array([row.label for row in rows], dtype=np.str_),
+        "first_sequence": _numbers(rows, lambda row: row.first_sequence, np.uint64),
+        "last_sequence": _numbers(rows, lambda row: row.last_sequence, np.uint64),
+        "relation": np.array([relation(row) for row in rows], dtype=np.str_),
+        "frame_state": _names(rows, lambda row: row.frame_state, v1.FrameState,
+                              "FRAME_STATE_")}
+    for name, field in (("x", "x_meters"), ("y", "y_meters"), ("z", "z_meters"),
+                        ("heading", "heading_radians")):
+        columns[f"frame_{name}"] = _part(rows, "frame_pose", field)
+    columns["frame_covariance"] = _covariances([row.frame_covariance for row in rows])
+    for name, field in (("x", "x_meters"), ("y", "y_meters")):
+        columns[f"reference_{name}"] = _part(rows, "frame_reference", field)
+    return Table(columns)
+
+
 def check_table(answers: Iterable[v1.CandidateSet]) -> Table:
     """A row per check: the query node as `query_index`, `query_x` and so on,
     `revision`, `candidates` (how many), `empty_reason` ("" if there are any),
@@ -200,11 +231,13 @@ def candidate_table(answers: Iterable[v1.CandidateSet]) -> Table:
     ("SAME", "OPPOSITE") as in candidate.proto. `query_...` and `matched_...` are the
     nodes: `index`, `sequence`, `fraction`, `stamp`, `travelled`, `x`, `y`, `z`,
     `heading`.
+    `recording_of_match` is the name of the matched node's recording, and `frame_state`
+    ("SAME", "AFTER", "DATUM", ...) how its frame is tied to that of the query.
     `difference_x`, `_y`, `_z`, `_heading`, `_covariance` say where a verifier
     should search. `gate_...` and `path_gate_...`: `squared_distance`,
     `degrees_of_freedom`, `threshold`, `p_value`, `verdict`; then `overlap` and
-    `log_likelihood_ratio` of the shape (NaN or "UNSPECIFIED" where absent). Metres
-    and radians."""
+    `log_likelihood_ratio` of the shape (NaN or "UNSPECIFIED" where absent: difference
+    and gate are where nothing ties the frames). Metres and radians."""
     checks, rows = [], []
     for number, answer in enumerate(answers):
         checks += [number] * len(answer.candidates)
@@ -220,15 +253,19 @@ def candidate_table(answers: Iterable[v1.CandidateSet]) -> Table:
         "odds_to_runner_up": _optional(rows, "odds_to_runner_up"),
         "meters_before": _part(rows, "place_interval", "meters_before"),
         "meters_after": _part(rows, "place_interval", "meters_after")}
+    columns["recording_of_match"] = np.array(
+        [row.recording_of_match for row in rows], dtype=np.str_)
+    columns["frame_state"] = _names(rows, lambda row: row.frame_state, v1.FrameState,
+                                    "FRAME_STATE_")
     columns.update(_node_columns([row.query for row in rows], "query_"))
     columns.update(_node_columns([row.matched for row in rows], "matched_"))
     for name, field in (("x", "x_meters"), ("y", "y_meters"), ("z", "z_meters"),
                         ("heading", "heading_radians")):
-        columns[f"difference_{name}"] = np.array(
-            [getattr(row.difference, field) for row in rows], dtype=np.float64)
+        columns[f"difference_{name}"] = _part(rows, "difference", field)
     columns["difference_covariance"] = _covariances(
         [row.difference.covariance for row in rows])
-    columns.update(_gate_columns([row.gate for row in rows], "gate_"))
+    columns.update(_gate_columns(
+        [row.gate if row.HasField("gate") else None for row in rows], "gate_"))
     columns.update(_gate_columns(
         [row.path_gate if row.HasField("path_gate") else None for row in rows],
         "path_gate_"))

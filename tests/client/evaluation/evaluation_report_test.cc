@@ -265,5 +265,35 @@ TEST(EvaluationPlotsTest, DrawsABarWithItsCountForEachBinThatHolds) {
               HasSubstr("No probability was stated."));
 }
 
+TEST(EvaluationReportTest, RecordingsTellOfNewRoadsAndOfTheFirstLink) {
+  Report report;
+  report.recordings = report.verified = true;
+  report.methods = {{"relative", 150.0, {MadeDrive("one", 1)}}};
+  DriveResult& drive = report.methods[0].drives[0];
+  drive.tally.new_road_checks = 7;
+  drive.tally.new_road_accepted = 2;
+  drive.linked_after_meters = 410.0;
+  drive.checks[0].answer.candidates[0].has_gate = false;
+  std::ostringstream out;
+  PrintReport(report, out);
+  EXPECT_THAT(out.str(), HasSubstr("7 checks, 2 accepted\n"));
+  EXPECT_THAT(out.str(), HasSubstr("410 m\n"));
+  const json made = json::parse(ReportJson(report, true));
+  EXPECT_EQ(made["total"]["new_road_checks"], 7);
+  EXPECT_EQ(made["drives"][0]["linked_after_meters"], 410.0);
+  const json& candidate = made["drives"][0]["check_list"][0]["candidates"][0];
+  EXPECT_EQ(candidate["gate"], "none");
+  EXPECT_TRUE(candidate["p_value"].is_null());
+  // A row for each asking drive, with all its draws.
+  report.methods[0].drives = {MadeDrive("one", 1), MadeDrive("one", 2),
+                              MadeDrive("two", 1), MadeDrive("two", 2)};
+  report.methods[0].drives[1].linked_after_meters = 300.0;
+  const auto lines = Lines(report);
+  EXPECT_THAT(lines[0], MatchesRegex(".* NEW ROADS +ACCEPTED THERE +LINKED "
+                                     "AFTER m +CONFIRMED .*"));
+  EXPECT_THAT(lines[1], MatchesRegex("one, 2 seeds .* 0 +0 +300 .*"));
+  EXPECT_THAT(lines[2], MatchesRegex("two, 2 seeds .* 0 +0 +- .*"));
+}
+
 }  // namespace
 }  // namespace revisit::client

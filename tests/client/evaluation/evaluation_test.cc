@@ -454,5 +454,76 @@ TEST(MapSvgTest, DrawsASingleNode) {
   EXPECT_THAT(DrawMap(JudgedMap(result, false)), Not(HasSubstr("nan")));
 }
 
+// Two recordings of the course: nodes 0 to 9, and 10 to 29, which asks.
+Judging SecondAsks() {
+  Judging judging;
+  judging.first_check_meters = 0.0;
+  judging.first_asking_node = 10;
+  return judging;
+}
+
+TEST(EvaluationTest, OnlyOtherRecordingsCountWhereARecordingAsks) {
+  const Course course = TwoLapsAndBack();
+  // Node 25 was passed by the asking recording too, at node 14.
+  const auto checks = Judge(
+      course.nodes, course.truth,
+      {Answer(5, {{0, v1::VERDICT_ACCEPTED}}),
+       Answer(13, {{12, v1::VERDICT_ACCEPTED}, {3, v1::VERDICT_ACCEPTED}}),
+       Answer(25, {{14, v1::VERDICT_ACCEPTED}})},
+      SecondAsks());
+  ASSERT_EQ(checks.size(), 2u);
+  EXPECT_EQ(checks[0].answer.query, 13);
+  ASSERT_EQ(checks[0].answer.candidates.size(), 1u);
+  EXPECT_EQ(checks[0].answer.candidates[0].matched, 3);
+  EXPECT_TRUE(checks[0].true_loop);
+  EXPECT_TRUE(checks[0].top_correct());
+  EXPECT_TRUE(checks[1].answer.candidates.empty());
+  EXPECT_NE(checks[1].answer.empty_reason, "");
+  // It was passed the other way.
+  EXPECT_FALSE(checks[1].true_loop);
+}
+
+TEST(EvaluationTest, ChecksOfARecordingBeginWithItsOwnWay) {
+  const Course course = TwoLapsAndBack();
+  Judging judging = SecondAsks();
+  judging.first_check_meters = 50.0;
+  const std::vector<CheckAnswer> answers = {Answer(14, {}), Answer(15, {}),
+                                            Answer(16, {})};
+  EXPECT_EQ(Judge(course.nodes, course.truth, answers, judging).size(), 2u);
+  // Behind the check at which a verifier tied it to another.
+  judging.counted_behind = 15;
+  EXPECT_EQ(Judge(course.nodes, course.truth, answers, judging).size(), 1u);
+  judging.counted_behind = 30;
+  EXPECT_TRUE(Judge(course.nodes, course.truth, answers, judging).empty());
+}
+
+TEST(EvaluationTest, NewRoadsAreThoseThatNoOtherRecordingHasWithin40Meters) {
+  Course course = TwoLapsAndBack();
+  // 45 m beside the first lap, and 30 m beside it, which is no loop either.
+  course.truth[15].y = 45.0;
+  course.truth[16].y = 30.0;
+  const auto checks = Judge(course.nodes, course.truth,
+                            {Answer(15, {{3, v1::VERDICT_ACCEPTED}}),
+                             Answer(16, {{3, v1::VERDICT_ACCEPTED}}),
+                             // The same place, the other way.
+                             Answer(25, {{3, v1::VERDICT_REJECTED_BY_SHAPE}})},
+                            SecondAsks());
+  ASSERT_EQ(checks.size(), 3u);
+  EXPECT_TRUE(checks[0].new_road);
+  EXPECT_FALSE(checks[1].new_road);
+  EXPECT_TRUE(checks[2].new_road);
+  Tally tally = Count(checks);
+  EXPECT_EQ(tally.new_road_checks, 2);
+  EXPECT_EQ(tally.new_road_accepted, 1);
+  tally.Add(Count(checks));
+  EXPECT_EQ(tally.new_road_checks, 4);
+  EXPECT_EQ(tally.new_road_accepted, 2);
+  // Nothing is told of them where there is one recording.
+  EXPECT_EQ(Count(Judge(course.nodes, course.truth, {Answer(15, {})},
+                        EightExcluded()))
+                .new_road_checks,
+            0);
+}
+
 }  // namespace
 }  // namespace revisit::client

@@ -366,5 +366,39 @@ TEST(SimulationTest, RefusesWhatIsNoSeeds) {
   EXPECT_EQ(ParseSeeds("1-1000")->size(), 1000u);
 }
 
+TEST(SimulationTest, DatumPutsTheStartOfAnEstimateWhereTheTruthBegins) {
+  Drive drive = Bend();
+  // A frame of its own.
+  drive.samples[0].estimate = {40.0, 7.0, -1.0};
+  const PlanarPose exact = DrawDatum(drive, 0.0, 0.0, 1);
+  const auto placed = [&drive](const PlanarPose& datum) {
+    const PlanarPose& start = drive.samples[0].estimate;
+    const double c = std::cos(datum.heading);
+    const double s = std::sin(datum.heading);
+    return PlanarPose{datum.x + c * start.x - s * start.y,
+                      datum.y + s * start.x + c * start.y,
+                      datum.heading + start.heading};
+  };
+  EXPECT_NEAR(placed(exact).x, 5.0, 1e-9);
+  EXPECT_NEAR(placed(exact).y, -3.0, 1e-9);
+  EXPECT_NEAR(placed(exact).heading, 0.4, 1e-9);
+  // Errors are those of the start, however far away the frame's origin is.
+  double sum = 0.0;
+  double turns = 0.0;
+  constexpr int kDraws = 2000;
+  for (int seed = 1; seed <= kDraws; ++seed) {
+    const PlanarPose start =
+        placed(DrawDatum(drive, 10.0, 0.1, static_cast<std::uint64_t>(seed)));
+    sum += (start.x - 5.0) * (start.x - 5.0);
+    turns += (start.heading - 0.4) * (start.heading - 0.4);
+  }
+  EXPECT_NEAR(std::sqrt(sum / kDraws), 10.0, 0.6);
+  EXPECT_NEAR(std::sqrt(turns / kDraws), 0.1, 0.006);
+  const PlanarPose once = DrawDatum(drive, 10.0, 0.1, 7);
+  EXPECT_EQ(once.x, DrawDatum(drive, 10.0, 0.1, 7).x);
+  drive.name = "another";
+  EXPECT_NE(once.x, DrawDatum(drive, 10.0, 0.1, 7).x);
+}
+
 }  // namespace
 }  // namespace revisit::client

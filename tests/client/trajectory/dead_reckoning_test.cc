@@ -236,5 +236,30 @@ TEST(DeadReckoningTest, ScaledClaimsAreThoseOfTheScale) {
   EXPECT_NEAR((*claims)[0].planar[0], 0.000625, 1e-15);
 }
 
+TEST(DeadReckoningTest, ErrorsBeginAnewInAFrameOfItsOwn) {
+  for (const auto source : {UncertaintyOptions::Source::kModel,
+                            UncertaintyOptions::Source::kFile}) {
+    UncertaintyOptions options;
+    options.source = source;
+    options.start_is_given = true;
+    options.start_position = 0.5;
+    Drive drive = MakeDrive({{0, 0, 0}, {50, 0, 0}, {100, 0, 0}});
+    for (Sample& sample : drive.samples) {
+      const double variance = 0.01 * sample.estimate.x;
+      sample.covariance = {variance, 0.0, 0.0, variance, 0.0, 1e-3 * variance};
+    }
+    UncertaintyClaims claims(options, "a.csv");
+    std::vector<std::array<double, 6>> first;
+    for (const Sample& sample : drive.samples) {
+      first.push_back(claims.Next(sample)->planar);
+    }
+    claims.BeginRecording("b.csv");
+    claims.BeginFrame();
+    for (std::size_t i = 0; i < drive.samples.size(); ++i) {
+      EXPECT_EQ(claims.Next(drive.samples[i])->planar, first[i]);
+    }
+  }
+}
+
 }  // namespace
 }  // namespace revisit::client

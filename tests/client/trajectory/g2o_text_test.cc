@@ -336,5 +336,135 @@ TEST(LocalFrame, GeodeticPosesAreTurnedIntoTheFrameOfTheOrigin) {
   EXPECT_NEAR(back.latitude_degrees(), 60.0, 1e-12);
 }
 
+v1::Covariance PlanarVariances(double x, double y, double heading) {
+  v1::Covariance covariance;
+  covariance.set_form(v1::COVARIANCE_FORM_PLANAR_6);
+  for (const double value : {x, 0.0, 0.0, y, 0.0, heading}) {
+    covariance.add_values(value);
+  }
+  return covariance;
+}
+
+// The edges of a graph, without their tag: ids, relative pose, information.
+std::vector<std::vector<double>> EdgesOf(const std::string& text) {
+  std::vector<std::vector<double>> edges;
+  std::istringstream lines(text);
+  for (std::string line; std::getline(lines, line);) {
+    if (line.rfind("EDGE_SE2 ", 0) != 0) continue;
+    std::istringstream numbers(line.substr(9));
+    edges.emplace_back();
+    for (double number = 0.0; numbers >> number;) {
+      edges.back().push_back(number);
+    }
+  }
+  return edges;
+}
+
+TEST(G2oText, RecordingThatBeginsWhereTheLastEndedHasAnEdgeAcrossTheGap) {
+  const std::vector<v1::LoopClosure> none;
+  const v1::VehicleSettings settings = G2oSettings(v1::STATE_SPACE_PLANAR);
+  std::ostringstream out;
+  G2oWriter writer(settings, none, &out);
+  Add(LevelPose(1, 0.0, 0.0, 0.0, {1.0, 1.0, 0.0, 0.25}), &writer);
+  // Facing along y in its own frame, in whose x the gap is known best: that is
+  // to the right of the body.
+  LocalPose start = LevelPose(2, 500.0, 0.0, 0.5 * kPi, {1.0, 1.0, 0.0, 0.25});
+  start.recording_start.emplace();
+  *start.recording_start->mutable_after() = PlanarVariances(1.0, 4.0, 0.25);
+  Add(start, &writer);
+  const auto edges = EdgesOf(out.str());
+  ASSERT_EQ(edges.size(), 1u);
+  EXPECT_THAT(edges[0],
+              Pointwise(DoubleNear(1e-9), {1.0, 2.0, 0.0, 0.0, 0.0, 0.25, 0.0,
+                                           0.0, 1.0, 0.0, 4.0}));
+  EXPECT_EQ(writer.counts().jumps, 0);
+  EXPECT_EQ(writer.counts().recordings, 1);
+  EXPECT_EQ(writer.counts().untied, 0);
+}
+
+TEST(G2oText, RecordingsWithDatumsAreJoinedFromStartToStart) {
+  const std::vector<v1::LoopClosure> none;
+  const v1::VehicleSettings settings = G2oSettings(v1::STATE_SPACE_PLANAR);
+  std::ostringstream out;
+  G2oWriter writer(settings, none, &out);
+  LocalPose first = LevelPose(1, 0.0, 0.0, 0.0, {0.25, 0.25, 0.0, 0.25});
+  first.recording_start.emplace();
+  v1::Datum* const datum = first.recording_start->mutable_datum();
+  *datum->mutable_covariance() = PlanarVariances(0.75, 0.75, 0.25);
+  datum->mutable_pose()->set_x_meters(10.0);
+  Add(first, &writer);
+  Add(LevelPose(2, 5.0, 0.0, 0.0, {1.0, 1.0, 0.0, 1.0}), &writer);
+  // Its frame is turned to the left, and begins where the first pose is.
+  LocalPose second = first;
+  second.sequence = 3;
+  second.recording_start->mutable_datum()->mutable_pose()->set_heading_radians(
+      0.5 * kPi);
+  Add(second, &writer);
+  const auto edges = EdgesOf(out.str());
+  ASSERT_EQ(edges.size(), 2u);
+  // Both datums and both poses err by 1 m2 and 0.5 rad2 together.
+  EXPECT_THAT(edges[1],
+              Pointwise(DoubleNear(1e-9), {1.0, 3.0, 0.0, 0.0, 0.5 * kPi, 0.5,
+                                           0.0, 0.0, 0.5, 0.0, 1.0}));
+  // Of one datum, the error of the poses alone is left.
+  datum->set_datum_id("map");
+  second.sequence = 2;
+  second.recording_start->mutable_datum()->set_datum_id("map");
+  std::ostringstream shared;
+  G2oWriter again(settings, none, &shared);
+  Add(first, &again);
+  Add(second, &again);
+  EXPECT_THAT(EdgesOf(shared.str())[0],
+              Pointwise(DoubleNear(1e-9), {1.0, 2.0, 0.0, 0.0, 0.5 * kPi, 2.0,
+                                           0.0, 0.0, 2.0, 0.0, 2.0}));
+}
+
+TEST(G2oText, NothingLeadsToARecordingOfWhichNothingIsKnown) {
+  const std::vector<v1::LoopClosure> none;
+  const v1::VehicleSettings settings = G2oSettings(v1::STATE_SPACE_PLANAR);
+  std::ostringstream out;
+  G2oWriter writer(settings, none, &out);
+  Add(LevelPose(1, 0.0, 0.0, 0.0, {1.0, 1.0, 0.0, 0.25}), &writer);
+  LocalPose unknown = LevelPose(2, 0.0, 0.0, 0.0, {1.0, 1.0, 0.0, 0.25});
+  unknown.recording_start.emplace();
+  unknown.recording_start->set_unknown(true);
+  Add(unknown, &writer);
+  // Nor to one with a datum where no other has one.
+  LocalPose datum = unknown;
+  datum.sequence = 3;
+  datum.recording_start->mutable_datum();
+  Add(datum, &writer);
+  EXPECT_TRUE(EdgesOf(out.str()).empty());
+  EXPECT_EQ(writer.counts().recordings, 2);
+  EXPECT_EQ(writer.counts().untied, 2);
+}
+
+TEST(LocalPoseTest, PoseOfAFrameIsTurnedAndMovedWithItsCovariance) {
+  const LocalPose pose = LevelPose(1, 2.0, 1.0, 0.25, {4.0, 9.0, 0.0, 0.01});
+  v1::StatePose frame;
+  frame.set_x_meters(100.0);
+  frame.set_heading_radians(0.5 * kPi);
+  const LocalPose moved = InOuterFrame(pose, frame);
+  EXPECT_THAT(moved.position, Pointwise(DoubleNear(1e-12), {99.0, 2.0, 0.0}));
+  EXPECT_NEAR(moved.heading, 0.5 * kPi + 0.25, 1e-12);
+  EXPECT_NEAR(moved.covariance[0], 9.0, 1e-12);
+  EXPECT_NEAR(moved.covariance[5], 4.0, 1e-12);
+  EXPECT_NEAR(moved.covariance[15], 0.01, 1e-12);
+  EXPECT_NEAR(2.0 * std::asin(moved.orientation[2]), 0.5 * kPi + 0.25, 1e-12);
+}
+
+TEST(TrajectoryText, CommentOfTumMarksWhereARecordingBegins) {
+  LocalPose pose = LevelPose(7, 0.0, 0.0, 0.0, {1, 1, 1, 1});
+  pose.stamp.emplace();
+  pose.recording_start.emplace();
+  pose.recording_start->set_label("tuesday");
+  pose.recording_start->set_unknown(true);
+  std::ostringstream tum;
+  WriteTumLine(pose, tum);
+  EXPECT_EQ(tum.str(),
+            "# recording {\"label\":\"tuesday\",\"unknown\":true}\n"
+            "0 0 0 0 0 0 0 1\n");
+}
+
 }  // namespace
 }  // namespace revisit::client

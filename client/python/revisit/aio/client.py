@@ -171,10 +171,14 @@ class Client:
              async for pose in self.list_poses(vehicle, first_sequence,
                                                as_sent=as_sent)])
 
+    def list_recordings(self, vehicle: str) -> AsyncIterator[v1.Recording]:
+        return self._pages(_calls.list_recordings(vehicle))
+
     async def revise_poses(self, vehicle: str, poses: PosesLike,
-                           expected_revision: int = 0) -> v1.RevisePosesResponse:
-        answer = await self._run(
-            _calls.revise_poses(vehicle, poses, expected_revision))
+                           expected_revision: int = 0, *,
+                           common_frame: bool = False) -> v1.RevisePosesResponse:
+        answer = await self._run(_calls.revise_poses(
+            vehicle, poses, expected_revision, common_frame))
         log_warnings(vehicle_name(vehicle), answer, set())
         return answer
 

@@ -149,5 +149,85 @@ TEST_F(ConvertCommandTest, VehicleWithAFilterNeedsErrorTransitions) {
             kExitLocalError);
 }
 
+TEST_F(ConvertCommandTest, RecordingsAreInWhatHoldsWholePosesAndInTum) {
+  const std::string monday = Straight("monday.csv", 30);
+  const std::string tuesday = Straight("tuesday.csv", 30);
+  ASSERT_EQ(ReadRecordingChoice("datum:2m,1deg,map", &options_.recording), "");
+  ASSERT_TRUE(Convert({monday, tuesday}, ConvertFormat::kJsonLines).ok());
+  const std::string whole = out_.str();
+  std::istringstream lines(whole);
+  std::vector<nlohmann::json> poses;
+  for (std::string line; std::getline(lines, line);) {
+    poses.push_back(nlohmann::json::parse(line));
+  }
+  ASSERT_EQ(poses.size(), 60u);
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    EXPECT_EQ(poses[i].contains("recordingStart"), i % 30 == 0) << i;
+  }
+  EXPECT_EQ(poses[30]["recordingStart"]["label"], "tuesday");
+  EXPECT_EQ(poses[30]["covariance"], poses[0]["covariance"]);
+  // There and back by the format of TUM.
+  out_.str("");
+  ASSERT_TRUE(Convert({monday, tuesday}, ConvertFormat::kTum).ok());
+  const std::string tum = File("both.tum", out_.str());
+  out_.str("");
+  options_.recording = RecordingChoice();
+  options_.reader.columns.clear();
+  options_.files = {tum};
+  options_.format = ConvertFormat::kJsonLines;
+  options_.reader.accept_suspicious = true;
+  ASSERT_TRUE(RunConvert(options_, {out_, progress_, false}).ok());
+  std::istringstream again(out_.str());
+  std::size_t next = 0;
+  for (std::string line; std::getline(again, line); ++next) {
+    const auto pose = nlohmann::json::parse(line);
+    EXPECT_EQ(pose.contains("recordingStart"), next % 30 == 0) << next;
+    if (next == 30) {
+      EXPECT_EQ(pose["recordingStart"], poses[30]["recordingStart"]);
+    }
+  }
+  EXPECT_EQ(next, 60u);
+}
+
+TEST_F(ConvertCommandTest, GeodeticPositionsTakeNoRecordings) {
+  std::string text = "t,lat,lon\n";
+  for (int i = 0; i < 30; ++i)
+    absl::StrAppend(&text, i, ",", 50 + 1e-4 * i, ",8\n");
+  options_.files = {File("fixes.csv", text)};
+  options_.uncertainty_given = true;
+  options_.uncertainty.source = UncertaintyOptions::Source::kFixes;
+  ASSERT_EQ(ReadRecordingChoice("after", &options_.recording), "");
+  const absl::Status converted = RunConvert(options_, {out_, progress_, false});
+  EXPECT_EQ(ExitCodeOf(converted), kExitLocalError);
+  EXPECT_THAT(std::string(converted.message()),
+              HasSubstr("--recording goes with local ones"));
+}
+
+TEST_F(ConvertCommandTest, FilterThatBeginsAnewHasNoTransitionToTell) {
+  std::string text =
+      "t,x,y,yaw,pxx,pxy,pxt,pyy,pyt,ptt,fxx,fxy,fxt,fyx,fyy,fyt,ftx,fty,ftt\n";
+  for (int i = 0; i < 30; ++i) {
+    absl::StrAppend(&text, i, ",", 2 * i,
+                    ",0,0,1,0,0,1,0,0.01,1,0,0,0,1,2,0,0,1\n");
+  }
+  const std::string file = File("filter.csv", text);
+  options_.files = {file, file};
+  options_.format = ConvertFormat::kJsonLines;
+  options_.correlation_model = v1::CORRELATION_MODEL_FILTER;
+  options_.reader.accept_suspicious = true;
+  ASSERT_EQ(ReadRecordingChoice("unknown", &options_.recording), "");
+  const absl::Status converted = RunConvert(options_, {out_, progress_, false});
+  ASSERT_TRUE(converted.ok()) << converted;
+  std::istringstream lines(out_.str());
+  int sequence = 0;
+  for (std::string line; std::getline(lines, line);) {
+    const auto pose = nlohmann::json::parse(line);
+    ++sequence;
+    const bool begins = sequence == 1 || sequence == 31;
+    EXPECT_EQ(pose["errorTransition"].empty(), begins) << sequence;
+  }
+  EXPECT_EQ(sequence, 60);
+}
+
 }  // namespace
 }  // namespace revisit::client

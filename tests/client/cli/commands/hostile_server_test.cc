@@ -19,6 +19,7 @@
 #include "client/cli/commands/info_command.h"
 #include "client/cli/commands/map_command.h"
 #include "client/cli/commands/poses_command.h"
+#include "client/cli/commands/recordings_command.h"
 #include "client/cli/commands/revise_command.h"
 #include "client/cli/commands/show_command.h"
 #include "client/cli/commands/stream_command.h"
@@ -74,6 +75,13 @@ class HostileServerTest : public CommandTest {
     optimised_ = ::testing::TempDir() + std::to_string(getpid()) +
                  "_hostile_optimised.g2o";
     std::ofstream(optimised_) << "VERTEX_SE2 1 1 0 0\n";
+    std::vector<v1::Recording> recordings(2);
+    for (int i = 0; i < 2; ++i) {
+      const std::uint64_t first = static_cast<std::uint64_t>(i) + 1;
+      recordings[first - 1].set_first_sequence(first);
+      recordings[first - 1].set_frame_state(v1::FRAME_STATE_NONE);
+    }
+    server_.set_recordings(std::move(recordings));
   }
   void TearDown() override {
     std::remove(path_.c_str());
@@ -152,6 +160,10 @@ class HostileServerTest : public CommandTest {
          }},
         {"poses list",
          [this](const Terminal& c) { return RunPosesList(client_, {"a"}, c); }},
+        {"recordings list",
+         [this](const Terminal& c) {
+           return RunRecordingsList(client_, "a", c);
+         }},
         {"export jsonl", exporting(ExportFormat::kJsonLines)},
         {"export g2o", exporting(ExportFormat::kG2o)},
         {"export tum", exporting(ExportFormat::kTum)},
@@ -243,12 +255,12 @@ TEST_F(HostileServerTest, ListsThatDoNotGoOnEndWithAnError) {
   for (NamedCommand& command : Commands()) {
     for (const char* name :
          {"vehicle list", "closures list", "rejections list", "deletions list",
-          "closures delete", "poses list", "export g2o", "export tum",
-          "export csv", "map html", "revise"}) {
+          "closures delete", "poses list", "recordings list", "export g2o",
+          "export tum", "export csv", "map html", "revise"}) {
       if (command.name == name) commands.push_back(command);
     }
   }
-  ASSERT_EQ(commands.size(), 11u);
+  ASSERT_EQ(commands.size(), 12u);
   Append(3);
   for (const ListEnd end :
        {ListEnd::kRepeats, ListEnd::kRepeatsUnderFreshTokens,
@@ -287,8 +299,9 @@ grpc::Status Busy(std::int64_t wait_seconds, std::int32_t nanos) {
 TEST_F(HostileServerTest, MapGivesUpWhereASearchIsPutOffForEver) {
   MapOptions options;
   options.vehicle = "shuttle";
-  // The vehicle, two lists of one page each, and the graph come first.
-  std::vector<grpc::Status> statuses(6, grpc::Status::OK);
+  // The vehicle, two lists of two pages each, the graph and the recordings come
+  // first.
+  std::vector<grpc::Status> statuses(7, grpc::Status::OK);
   statuses.push_back(Busy(9'000'000'000, 0));
   server_.FailUnaryCalls(statuses);
   auto done = std::async(std::launch::async,
