@@ -19,6 +19,9 @@ const SIGHTS = {
 };
 /** CIEDE2000 at which two lines of two pixels are told apart at a glance. */
 const LEAST_APART = 15;
+/** The same for the paths of recordings and lines that have a dash, a mark or
+ * another width besides. */
+const LEAST_APART_FROM_LINKS = 12;
 /** WCAG 2.2, 1.4.11. */
 const LEAST_CONTRAST = 3;
 
@@ -28,6 +31,8 @@ const MAPS = {
             'uninformative', 'rejected-by-shape', 'rejected-by-gate',
             'ill-conditioned'],
   candidate: ['matched-path', 'query-path', 'path'],
+  recordings: ['path', 'recording-1', 'recording-2', 'recording-3',
+               'recording-4'],
 };
 
 const STYLE = readFileSync(
@@ -118,6 +123,20 @@ for (const theme of ['light', 'dark']) {
           assert.ok(distance >= LEAST_APART, `${map}, ${sight}: ${name} and ${
               other} are ${distance.toFixed(1)} apart`);
         }));
+      }
+    }
+  });
+
+  test(`recordings are told apart from links by all people, ${theme}`, () => {
+    const colours = coloursOf(theme);
+    for (const sight of Object.keys(SIGHTS)) {
+      for (const name of MAPS.recordings.slice(1)) {
+        for (const other of MAPS.vehicle) {
+          const distance = apart(labOf(colours[name], sight),
+                                 labOf(colours[other], sight));
+          assert.ok(distance >= LEAST_APART_FROM_LINKS, `${sight}: ${
+              name} and ${other} are ${distance.toFixed(1)} apart`);
+        }
       }
     }
   });

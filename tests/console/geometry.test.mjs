@@ -4,14 +4,15 @@ import {before, test} from 'node:test';
 
 import {load} from './world.mjs';
 
-let pyramid, path, rigid, ellipse, frames, graphs, graticules, links;
+let pyramid, path, rigid, ellipse, frames, graphs, graticules, links,
+    recordings;
 before(async () => {
   [pyramid, path, rigid, ellipse, frames] = await Promise.all(
       ['pyramid', 'path', 'rigid', 'ellipse', 'frame'].map(
           name => load(`web/geometry/${name}.ts`)));
-  [graphs, graticules, links] = await Promise.all(
-      ['web/data/graph.ts', 'web/draw/graticule.ts', 'shared/links.ts'].map(
-          name => load(name)));
+  [graphs, graticules, links, recordings] = await Promise.all(
+      ['web/data/graph.ts', 'web/draw/graticule.ts', 'shared/links.ts',
+       'web/data/recordings.ts'].map(name => load(name)));
 });
 
 /** A winding path of 2 m steps that is cut once. */
@@ -139,6 +140,66 @@ test('a path that is cut is drawn in two, a part up to its last node', () => {
   assert.ok(Math.abs(part.at(-2) - graph.x[200]) < 1e-3);
 });
 
+/** A graph of which each node is a pose, cut into two recordings. */
+function recorded(cut) {
+  const graph = {...graphs.noNodes(300), ...winding(300, cut), nodesId: 'a',
+                 closures: new Uint32Array(0)};
+  graph.sequence = Float64Array.from({length: 300}, (_, i) => i + 1);
+  for (let i = 0; i < 300; ++i) graph.covariance.set([4, 0.5, 1], 3 * i);
+  return graph;
+}
+
+const started = (sequence, more) => ({
+  name: `vehicles/v/recordings/${sequence}`, label: '',
+  firstSequence: BigInt(sequence), lastSequence: 300n, frameState: 1, ...more});
+
+test('a recording is drawn where its frame lies in that of the last one', () => {
+  const own = recorded(100);
+  const before = own.x.slice();
+  const {graph, recordings: placed} = recordings.place(own, [
+    started(1, {framePose: {xMeters: 10, yMeters: -3,
+                            headingRadians: Math.PI / 2},
+                frameReference: {xMeters: 2, yMeters: 1, headingRadians: 0},
+                frameCovariance: {form: 1, values: [9, 0, 0, 4, 0, 0.01]}}),
+    started(101, {framePose: {xMeters: 0, yMeters: 0, headingRadians: 0}})]);
+  for (const i of [0, 40, 99]) {
+    assert.ok(Math.abs(graph.x[i] - (10 - own.y[i])) < 1e-9);
+    assert.ok(Math.abs(graph.y[i] - (-3 + own.x[i])) < 1e-9);
+    assert.ok(Math.abs(graph.heading[i] - own.heading[i] - Math.PI / 2) < 1e-9);
+    const turned = [...graph.covariance.subarray(3 * i, 3 * i + 3)];
+    [1, -0.5, 4].forEach((value, k) =>
+        assert.ok(Math.abs(turned[k] - value) < 1e-9, `${turned}`));
+  }
+  assert.equal(graph.x[200], own.x[200]);
+  // The graph that came stays as it was, and others are drawn by their boxes.
+  assert.deepEqual(own.x, before);
+  const view = {x: 10, y: -3, metersPerPixel: 0.01, width: 1e6, height: 1e6};
+  const drawn = new path.StretchesDrawer(graph, [[0, 99], [100, 299]]);
+  assert.equal(drawn.segmentsIn(view).length / 4, 298);
+  assert.equal(drawn.segmentsIn(view), drawn.segmentsIn(view));
+  assert.deepEqual(placed.map(({from, to, isPlaced}) => [from, to, isPlaced]),
+                   [[0, 99, true], [100, 299, true]]);
+  const [{doubt}] = placed;
+  assert.ok(Math.abs(doubt.x - 9) < 1e-9 && Math.abs(doubt.y + 1) < 1e-9);
+  assert.deepEqual(doubt.covariance, [9, 0, 4]);
+  assert.ok(Math.abs(doubt.headingDeviation - 0.1) < 1e-9);
+  assert.equal(recordings.recordingOf(placed, 99), placed[0]);
+  assert.equal(recordings.recordingOf(placed, 100), placed[1]);
+});
+
+test('one recording, or one that has no nodes yet, leaves the graph as it is',
+     () => {
+  const own = recorded(100);
+  for (const list of [[], [started(1, {})], [started(1, {}),
+                                             started(301, {})]]) {
+    const {graph, recordings: placed} = recordings.place(own, list);
+    assert.equal(graph, own);
+    assert.deepEqual(placed, []);
+  }
+  assert.notEqual(recordings.tiesOf(own), recordings.tiesOf(
+      {...own, closures: Uint32Array.of(1, 2)}));
+});
+
 test('a motion of points is found again', () => {
   const motion = {angle: 2.5, x: -30, y: 4};
   const from = [0, 0, 10, 0, 10, 5, -3, 8];
@@ -161,4 +222,15 @@ test('an ellipse holds 95 % of its Gaussian', () => {
   assert.ok(Math.abs(long - 3 * Math.sqrt(5.991)) < 1e-3);
   assert.ok(Math.abs(short - Math.sqrt(5.991)) < 1e-3);
   assert.ok(Math.abs(direction - Math.PI / 6) < 1e-9);
+});
+
+test('names stay within the map, and none lies over another', async () => {
+  const scenes = await load('web/draw/scene.ts');
+  const view = {x: 0, y: 0, metersPerPixel: 1, width: 400, height: 200};
+  const name = (text, x, y) => ({text, colour: 'path', x, y});
+  const shown = scenes.namesIn({shapes: [], box: undefined, names: [
+    name('first', 0, 0), name('hidden', 20, 5), name('right', 190, 50),
+    name('outside', 300, 0), name('long '.repeat(20), -190, -50)]}, view);
+  assert.deepEqual(shown.map(({text, isBefore}) => [text.length, isBefore]),
+                   [[5, false], [5, true], [28, false]]);
 });

@@ -16,7 +16,8 @@ import type {Telemetry} from './telemetry.js';
 // undone are not among them, whatever the caller's token would allow.
 const calls = PoseGraphService.method;
 const UNARY: DescMethodUnary[] = [
-  calls.getVehicle, calls.listVehicles, calls.findCandidates,
+  calls.getVehicle, calls.listVehicles, calls.listRecordings,
+  calls.findCandidates,
   calls.addLoopClosure, calls.listLoopClosures, calls.deleteLoopClosure,
   calls.rejectCandidate, calls.listRejectedCandidates,
   calls.deleteRejectedCandidate, calls.listDeletedPosePairs, calls.listPoses,

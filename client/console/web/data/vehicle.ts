@@ -1,17 +1,24 @@
 // The state of one vehicle as the page knows it, kept up to date while somebody looks.
 import {equals} from '@bufbuild/protobuf';
+import {Code, ConnectError} from '@connectrpc/connect';
 import {batch, computed, signal} from '@preact/signals';
 
+import type {Recording} from '../../gen/revisit/v1/recording_pb.js';
 import {type Vehicle, VehicleSettingsSchema} from
     '../../gen/revisit/v1/vehicle_pb.js';
 import {CandidateSource} from './candidates.js';
-import {credentials, messageOf, repeat, service, token} from './client.js';
+import {allPages, credentials, messageOf, repeat, service, token} from
+    './client.js';
 import {type Decision, DecisionBook, keyOfPair, type Pair} from
     './decisions.js';
 import {checkNodes, type Graph, GraphLoader, nodeAt, poseToAsk} from
     './graph.js';
+import {place, type PlacedRecording, recordingOf, tiesOf} from
+    './recordings.js';
 
 const POLL_MILLISECONDS = 1000;
+/** As many as a vehicle may have, so that one call tells of all. */
+const MOST_RECORDINGS = 1000;
 
 /** Searches at most so many poses, until somebody asks for more. */
 export const SEARCHES_AT_ONCE = 100;
@@ -25,10 +32,27 @@ function wasRevised(before: Graph, after: Graph): boolean {
   return false;
 }
 
+/** All recordings, or none where the server is of a version that has none. */
+async function listRecordings(parent: string): Promise<Recording[]> {
+  try {
+    return await allPages(
+        pageToken => service.listRecordings(
+            {parent, pageToken, pageSize: MOST_RECORDINGS}),
+        page => page.recordings);
+  } catch (error) {
+    if (ConnectError.from(error).code === Code.Unimplemented) return [];
+    throw error;
+  }
+}
+
 export class VehicleStore {
   readonly name: string;
   readonly vehicle = signal<Vehicle|undefined>(undefined);
+  /** In the frame of the last recording, as far as that is known: see
+   * Placement. */
   readonly graph = signal<Graph|undefined>(undefined);
+  /** The eldest first; empty for a vehicle that has only one. */
+  readonly recordings = signal<readonly PlacedRecording[]>([]);
   /** Nodes that have come of an export that is under way; else undefined. */
   readonly loading = signal<number|undefined>(undefined);
   readonly error = signal<string|undefined>(undefined);
@@ -55,6 +79,11 @@ export class VehicleStore {
   private readonly loader = new GraphLoader();
   private readonly ends: Array<() => void> = [];
   private listed = '';
+  /** The graph as it came, each recording in its own frame. */
+  private own: Graph|undefined;
+  private listedRecordings: Recording[] = [];
+  /** The tiesOf() the graph for which these were listed. */
+  private ties = '';
 
   constructor(readonly id: string) {
     this.name = `vehicles/${id}`;
@@ -106,13 +135,23 @@ export class VehicleStore {
       return;
     }
     try {
-      const before = this.graph.value;
-      const graph = await this.loader.load(
+      const before = this.own;
+      const own = await this.loader.load(
           this.name, credentials(), before,
           nodes => this.loading.value = nodes);
-      this.graph.value = graph;
-      if (before && before.nodesId !== graph.nodesId &&
-          wasRevised(before, graph)) {
+      const ties = tiesOf(own);
+      if (ties !== this.ties) {
+        this.listedRecordings = await listRecordings(this.name);
+        this.ties = ties;
+      }
+      this.own = own;
+      const {graph, recordings} = place(own, this.listedRecordings);
+      batch(() => {
+        this.graph.value = graph;
+        this.recordings.value = recordings;
+      });
+      if (before && before.nodesId !== own.nodesId &&
+          wasRevised(before, own)) {
         this.candidates.outdate();
       }
     } finally {
@@ -167,7 +206,9 @@ export class VehicleStore {
       if (a === b) return true;
       if (!graph) return false;
       const [i, j] = [nodeAt(graph, a), nodeAt(graph, b)];
+      const {value: recordings} = this.recordings;
       return i >= 0 && j >= 0 &&
+          recordingOf(recordings, i) === recordingOf(recordings, j) &&
           Math.abs(graph.travelled[i] - graph.travelled[j]) <= separation;
     };
     return near(pair.query, other.query) && near(pair.matched, other.matched);

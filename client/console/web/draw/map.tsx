@@ -12,8 +12,8 @@ import {go, query, setQuery} from '../route.js';
 import {dark} from '../theme.js';
 import {Graticule, placeText} from './graticule.js';
 import type {Ground} from './ground.js';
-import {colourOf, components, type Hit, hitAt, scaleBarMeters, type Scene,
-        selectedIn, type Shape} from './scene.js';
+import {colourOf, components, type Hit, hitAt, namesIn, scaleBarMeters,
+        type Scene, selectedIn, type Shape} from './scene.js';
 import {StrokeLayer} from './stroke_layer.js';
 import type {MapSheet} from './svg.js';
 
@@ -352,6 +352,14 @@ export function MapView(
         {view && graticule?.labelsIn(view).map(({text, left, top}) => (
           <span key={text} class="degrees" aria-hidden="true"
                 style={{left: `${left}px`, top: `${top}px`}}>{text}</span>
+        ))}
+        {view && namesIn(scene, view).map(
+            ({text, colour, left, top, isBefore}) => (
+          <span key={`${left} ${top}`} aria-hidden="true"
+                class={isBefore ? 'place-name before' : 'place-name'}
+                style={{left: `${left}px`, top: `${top}px`}}>
+            <span class={`swatch ${colour}`} />{text}
+          </span>
         ))}
         <p class="scale">
           <span class="bar" style={{width: `${bar / metersPerPixel}px`}} />

@@ -7,7 +7,12 @@ export type Colour =
     'path'|'path-ahead'|'ellipse'|'closure'|'rejection'|'vehicle'|'selected'|
     'stretch'|'accepted'|'rejected-by-gate'|'rejected-by-shape'|'ambiguous'|
     'uninformative'|'ill-conditioned'|'matched-path'|'query-path'|'text'|
-    'background'|'grid'|'threshold'|'scale';
+    'background'|'grid'|'threshold'|'scale'|RecordingColour;
+
+/** Those of recordings that are not a vehicle's last one. */
+export const RECORDING_COLOURS = ['recording-1', 'recording-2', 'recording-3',
+                                  'recording-4'] as const;
+type RecordingColour = typeof RECORDING_COLOURS[number];
 
 /** The things that the segments or dots of a shape stand for, by their
  * number. */
@@ -59,6 +64,54 @@ export interface Scene {
   shapes: Shape[];
   /** The part that is to be seen at first; undefined if there is nothing. */
   box: Box|undefined;
+  /** Names of places, the most important first. */
+  names?: PlaceName[];
+}
+
+/** Text at a place in metres. */
+export interface PlaceName {
+  text: string;
+  colour: Colour;
+  x: number;
+  y: number;
+}
+
+/** A name at its place on the screen, in pixels. */
+export interface ShownName {
+  text: string;
+  colour: Colour;
+  left: number;
+  top: number;
+  /** Whether the text is left of its place, since it would not fit right of it. */
+  isBefore: boolean;
+}
+
+const MOST_NAMES = 40;
+const MOST_LETTERS = 28;
+const LETTER_PIXELS = 7;
+/** Beside the letters: the gap and the swatch. */
+const NAME_EXTRA_PIXELS = 48;
+const NAME_HEIGHT = 20;
+
+/** The names in view, without those that would lie over one before them. */
+export function namesIn({names = []}: Scene, view: View): ShownName[] {
+  const shown: Array<ShownName & {from: number, to: number}> = [];
+  for (const {text, colour, x, y} of names) {
+    if (shown.length === MOST_NAMES) break;
+    const left = view.width / 2 + (x - view.x) / view.metersPerPixel;
+    const top = view.height / 2 - (y - view.y) / view.metersPerPixel;
+    if (left < 0 || top < 0 || left > view.width || top > view.height) continue;
+    const cut = text.length > MOST_LETTERS ?
+        `${text.slice(0, MOST_LETTERS - 1)}…` : text;
+    const width = LETTER_PIXELS * cut.length + NAME_EXTRA_PIXELS;
+    const isBefore = left + width > view.width && left > width;
+    const [from, to] = isBefore ? [left - width, left] : [left, left + width];
+    const isFree = shown.every(
+        other => from > other.to || to < other.from ||
+            Math.abs(top - other.top) >= NAME_HEIGHT);
+    if (isFree) shown.push({text: cut, colour, left, top, isBefore, from, to});
+  }
+  return shown;
 }
 
 export function strokes(shape: Omit<Strokes, 'kind'|'segmentsIn'>,

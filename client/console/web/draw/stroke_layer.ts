@@ -9,7 +9,8 @@ export interface StrokeLayerProps extends LayerProps {
   /** Red, green and blue in [0, 1]. */
   colour: [number, number, number];
   widthPixels: number;
-  /** Pixels that are drawn and left out in turn; all are drawn for [1, 0]. */
+  /** Pixels that are drawn and left out in turn, on and on over segments of which
+   * each begins where the one before it ends; all are drawn for [1, 0]. */
   dashPixels: [number, number];
   view: View;
 }
@@ -43,13 +44,15 @@ const strokeUniforms = {
 const vs = `#version 300 es
 in vec4 segment;
 in vec2 corner;
+in float metersBefore;
 out float fromMiddle;
 out float fromBegin;
 void main(void) {
   vec2 from = (segment.xy - stroke.centreMeters) * stroke.pixelsPerMeter;
   vec2 to = (segment.zw - stroke.centreMeters) * stroke.pixelsPerMeter;
   vec2 along = (to - from) / max(length(to - from), 1e-6);
-  fromBegin = corner.x * length(to - from);
+  fromBegin = metersBefore * stroke.pixelsPerMeter +
+      corner.x * length(to - from);
   fromMiddle = corner.y * (stroke.widthPixels / 2. + 0.5);
   vec2 place = mix(from, to, corner.x) +
       vec2(-along.y, along.x) * fromMiddle;
@@ -80,11 +83,18 @@ function geometryOf(segments: Float32Array): Geometry {
   const count = segments.length / 4;
   const segment = new Float32Array(16 * count);
   const corner = new Float32Array(8 * count);
+  const metersBefore = new Float32Array(4 * count);
+  let meters = 0;
   const indices = new Uint32Array(6 * count);
   for (let i = 0; i < count; ++i) {
     const ends = segments.subarray(4 * i, 4 * i + 4);
     for (let c = 0; c < 4; ++c) segment.set(ends, 16 * i + 4 * c);
     corner.set(CORNERS, 8 * i);
+    const goesOn = i > 0 && segments[4 * i - 2] === ends[0] &&
+        segments[4 * i - 1] === ends[1];
+    if (!goesOn) meters = 0;
+    metersBefore.fill(meters, 4 * i, 4 * i + 4);
+    meters += Math.hypot(ends[2] - ends[0], ends[3] - ends[1]);
     for (let k = 0; k < 6; ++k) indices[6 * i + k] = 4 * i + TRIANGLES[k];
   }
   return new Geometry({
@@ -94,6 +104,7 @@ function geometryOf(segments: Float32Array): Geometry {
     attributes: {
       segment: {size: 4, value: segment},
       corner: {size: 2, value: corner},
+      metersBefore: {size: 1, value: metersBefore},
     },
   });
 }

@@ -4,7 +4,8 @@ import type {Fact} from '../parts/facts.js';
 import {length} from '../parts/format.js';
 import {type Curve, isSingle, type Series} from './curve.js';
 import type {LineLabel} from './graticule.js';
-import {colourOf, scaleBarMeters, type Scene, type Shape} from './scene.js';
+import {colourOf, namesIn, scaleBarMeters, type Scene, type Shape} from
+    './scene.js';
 
 /** A map as it is at the moment. */
 export interface MapSheet {
@@ -106,6 +107,11 @@ function mapToSvg({scene, view, labels = []}: MapSheet, ground: GroundSheet|unde
       scene.shapes.map(shape => shapeToSvg(shape, view)).join('') +
       labels.map(({text: degrees, left, top}) => text(
           left + 3, top + 12, degrees, 'font-size="10"')).join('') +
+      namesIn(scene, view).map(({text: name, left, top, isBefore}) =>
+          text(left + (isBefore ? -8 : 8), top + 4, name,
+               `paint-order="stroke" stroke="${
+                   colourOf('background')}" stroke-width="3"${
+                   isBefore ? ' text-anchor="end"' : ''}`)).join('') +
       legend.join('') +
       `<path d="M12 ${y}h${round(barPixels)}" stroke="${
           colourOf('text')}" stroke-width="3"/>` +

@@ -41,7 +41,7 @@ export class PathDrawer {
   }
 
   private chunksIn(view: View): number[] {
-    const {first, last, boxes} = this.graph.pyramid;
+    const {first, boxes} = this.graph.pyramid;
     // The box is widened in steps, so that it stays as it is for a while.
     const box = boxOf(view);
     const step = MARGIN * view.metersPerPixel * Math.max(view.width,
@@ -51,8 +51,7 @@ export class PathDrawer {
     const right = Math.ceil(box.right / step + 1) * step;
     const top = Math.ceil(box.top / step + 1) * step;
     const chunks: number[] = [];
-    for (let c = 0; c < first.length; ++c) {
-      if (last[c] < this.from || first[c] > this.to) continue;
+    for (let c = this.firstChunk(); first[c] <= this.to; ++c) {
       if (boxes[4 * c] > right || boxes[4 * c + 1] > top ||
           boxes[4 * c + 2] < left || boxes[4 * c + 3] < bottom) {
         continue;
@@ -60,6 +59,22 @@ export class PathDrawer {
       chunks.push(c);
     }
     return chunks;
+  }
+
+  /** The first chunk that does not end before the first node. */
+  private firstChunk(): number {
+    const {last} = this.graph.pyramid;
+    let low = 0;
+    let high = last.length;
+    while (low < high) {
+      const middle = (low + high) >> 1;
+      if (last[middle] < this.from) {
+        low = middle + 1;
+      } else {
+        high = middle;
+      }
+    }
+    return low;
   }
 
   private draw(level: number, chunks: number[]): Float32Array {
@@ -83,5 +98,34 @@ export class PathDrawer {
       add(last);
     }
     return Float32Array.from(numbers);
+  }
+}
+
+/** Draws several stretches of nodes as one. */
+export class StretchesDrawer {
+  private readonly drawers: PathDrawer[];
+  private parts: Float32Array[] = [];
+  private segments: Float32Array = new Float32Array(0);
+
+  /** Each stretch is its first and its last node. */
+  constructor(graph: Graph, stretches: ReadonlyArray<[number, number]>) {
+    this.drawers = stretches.map(([from, to]) =>
+                                     new PathDrawer(graph, from, to));
+  }
+
+  /** Segments x0, y0, x1, y1; the same array while nothing has changed. */
+  segmentsIn(view: View): Float32Array {
+    const parts = this.drawers.map(drawer => drawer.segmentsIn(view));
+    if (parts.some((part, i) => part !== this.parts[i])) {
+      this.parts = parts;
+      this.segments = new Float32Array(
+          parts.reduce((sum, part) => sum + part.length, 0));
+      let at = 0;
+      for (const part of parts) {
+        this.segments.set(part, at);
+        at += part.length;
+      }
+    }
+    return this.segments;
   }
 }

@@ -93,8 +93,9 @@ function simplifyLevel(finer: Level, x: Float64Array, y: Float64Array,
   return {toleranceMeters, nodes: Uint32Array.from(kept), starts};
 }
 
-function boxesOf(first: Uint32Array, last: Uint32Array, x: Float64Array,
-                 y: Float64Array): Float64Array {
+/** Least x, least y, greatest x, greatest y of each chunk. */
+export function boxesOf(first: Uint32Array, last: Uint32Array, x: Float64Array,
+                        y: Float64Array): Float64Array {
   const boxes = new Float64Array(4 * first.length);
   for (let c = 0; c < first.length; ++c) {
     const box = [Infinity, Infinity, -Infinity, -Infinity];

@@ -19,6 +19,7 @@ import {alignedByDistance, alignedBySearch, overlayOf} from
 import {Locator, PairTable} from './candidate_pair.js';
 import {evidenceOf, factsOf, MEANING, RuleTable} from './candidate_rules.js';
 import {linkTo, openQueue, posesToAsk} from './drive.js';
+import {areInOneFrame} from './recordings.js';
 
 function Posterior({store, found: {asked, set, candidate}}:
     {store: VehicleStore, found: Found}) {
@@ -103,15 +104,18 @@ export function CandidateView({id, asked, matched}: Props) {
   const pair: Pair = decided ??
       (found ? pairOf(found) : store.pairAt(asked, matched));
   const sequenceLength = vehicle?.settings?.sequenceLengthMeters ?? 0;
+  const recordings = store.recordings.value;
   const overlay = useMemo(() => {
     if (!graph) return undefined;
     const aligned = candidate ? alignedBySearch(graph, candidate) : [];
     return overlayOf(graph, aligned.length > 0 ? aligned :
-        alignedByDistance(graph, pair, sequenceLength));
-  }, [graph, candidate, pair.query, pair.matched, sequenceLength]);
+        alignedByDistance(graph, pair, sequenceLength,
+                          areInOneFrame(graph, recordings, pair)));
+  }, [graph, recordings, candidate, pair.query, pair.matched,
+      sequenceLength]);
   const evidence = candidate && evidenceOf(
       candidate, vehicle?.settings?.acceptanceProbability ?? NaN);
-  const facts = candidate && factsOf(candidate);
+  const facts = candidate && factsOf(candidate, recordings);
   const title = `Pose ${count(pair.query)} at pose ${count(matched)}`;
   const name = vehicle?.displayName || id;
   useTitle(pairName(pair), name);
@@ -181,7 +185,8 @@ export function CandidateView({id, asked, matched}: Props) {
         </div>
         <div class="side">
           {graph && <PairTable store={store} graph={graph} pair={pair} />}
-          {graph && graph.size > 0 && <Locator graph={graph} pair={pair} />}
+          {graph && graph.size > 0 &&
+            <Locator graph={graph} recordings={recordings} pair={pair} />}
           {evidence && <RuleTable rows={evidence} />}
           {facts && <FactList facts={facts} />}
           {found && <Posterior store={store} found={found} />}

@@ -29,25 +29,57 @@ export function alignedBySearch(graph: Graph, {alignedPath}: Candidate):
                                                                       pairs;
 }
 
-/** Nodes that lie as far before the query as those of the earlier pass before
- * the match (behind it, where that was driven the other way), as far back as
- * `lengthMeters`: for pairs that no search offers today. */
-export function alignedByDistance(graph: Graph, {query, matched}: Pair,
-                                  lengthMeters: number): AlignedNodes {
-  const [q, m] = [nodeAt(graph, query), nodeAt(graph, matched)];
-  if (q < 0 || m < 0) return [];
-  const {travelled, heading, joined} = graph;
-  const sense = Math.cos(heading[q] - heading[m]) < 0 ? 1 : -1;
+/** The aligned nodes of an earlier pass that was driven the same way (`sense` -1)
+ * or the other way (1), as far back as both passes go without a gap. */
+function alignedInSense(graph: Graph, q: number, m: number, sense: 1|-1,
+                        lengthMeters: number): AlignedNodes {
+  const {travelled, joined} = graph;
   const pairs: AlignedNodes = [];
+  let before = m;
   for (let i = q; i >= 0; --i) {
     const back = travelled[q] - travelled[i];
     const distance = travelled[m] + sense * back;
     const j = nodeAtDistance(graph, distance - 1e-6);
     if (back > lengthMeters || distance < 0 || j >= graph.size) break;
+    const gone = joined.subarray(Math.min(before, j) + 1,
+                                 Math.max(before, j) + 1);
+    if (gone.includes(0)) break;
+    before = j;
     pairs.push([i, j]);
     if (!joined[i]) break;
   }
   return pairs.reverse();
+}
+
+/** Square metres that are left of each pair where this pass lies on the earlier
+ * one as well as it can. */
+function misfit({x, y}: Graph, pairs: AlignedNodes): number {
+  const moved = fit(pairs.flatMap(([q]) => [x[q], y[q]]),
+                    pairs.flatMap(([, m]) => [x[m], y[m]]));
+  return pairs.reduce((sum, [q, m]) => {
+    const [px, py] = apply(moved, x[q], y[q]);
+    return sum + (px - x[m]) ** 2 + (py - y[m]) ** 2;
+  }, 0) / pairs.length;
+}
+
+/** Nodes that lie as far before the query as those of the earlier pass before
+ * the match (behind it, where that was driven the other way), as far back as
+ * `lengthMeters`: for pairs that no search offers today. Where both poses are not
+ * `inOneFrame`, their headings do not say which way that was: then it is the one
+ * in which the shapes are more alike. */
+export function alignedByDistance(graph: Graph, {query, matched}: Pair,
+                                  lengthMeters: number, inOneFrame: boolean):
+    AlignedNodes {
+  const [q, m] = [nodeAt(graph, query), nodeAt(graph, matched)];
+  if (q < 0 || m < 0) return [];
+  const aligned = (sense: 1|-1) =>
+      alignedInSense(graph, q, m, sense, lengthMeters);
+  const {heading} = graph;
+  if (inOneFrame) {
+    return aligned(Math.cos(heading[q] - heading[m]) < 0 ? 1 : -1);
+  }
+  const [same, opposite] = [aligned(-1), aligned(1)];
+  return misfit(graph, opposite) < misfit(graph, same) ? opposite : same;
 }
 
 /** Both passes, the recent one moved and turned so that it lies on the earlier
@@ -63,9 +95,11 @@ export function overlayOf(graph: Graph, pairs: AlignedNodes):
                     pairs.flatMap(([, m]) => at(m)));
   const movedAt = (i: number) => apply(moved, ...at(i));
   const path = (indices: number[], place: (i: number) => [number, number]) => {
-    const least = Math.max(0, Math.min(...indices) - CONTEXT_NODES);
-    const most = Math.min(graph.size - 1,
-                          Math.max(...indices) + CONTEXT_NODES);
+    const [first, last] = [Math.min(...indices), Math.max(...indices)];
+    // Beyond a gap there may be another recording, in another frame.
+    let [least, most] = [first, last];
+    while (least > first - CONTEXT_NODES && graph.joined[least]) --least;
+    while (most < last + CONTEXT_NODES && graph.joined[most + 1]) ++most;
     const segments: number[] = [];
     for (let i = least; i < most; ++i) {
       if (graph.joined[i + 1]) segments.push(...place(i), ...place(i + 1));

@@ -5,12 +5,15 @@ import {linkFor, type LinkValues} from '../../shared/links.js';
 import {consoleSettings} from '../data/console.js';
 import type {Pair} from '../data/decisions.js';
 import {type Graph, nodeAt} from '../data/graph.js';
+import {type PlacedRecording, recordingOf} from '../data/recordings.js';
 import type {VehicleStore} from '../data/vehicle.js';
 import {MapView} from '../draw/map.js';
 import {dots, type Scene, strokes} from '../draw/scene.js';
-import {PathDrawer} from '../geometry/path.js';
+import {StretchesDrawer} from '../geometry/path.js';
 import {boxAround} from '../geometry/view.js';
 import {age, count, instant, length} from '../parts/format.js';
+import {areInOneFrame, boxOfRecordings, isShownIn, recordingsOf} from
+    './recordings.js';
 
 /** Milliseconds since 1970 at a pose; NaN if it has no stamp. */
 function timeAt(graph: Graph, sequence: number): number {
@@ -61,6 +64,7 @@ function Links({store, graph, pair}:
 /** Both poses with their times, and links that lead to them elsewhere. */
 export function PairTable({store, graph, pair}:
     {store: VehicleStore, graph: Graph, pair: Pair}) {
+  const recordings = store.recordings.value;
   const rows: Array<[string, number]> =
       [['A, query', pair.query], ['B, match', pair.matched]];
   const apart = (timeAt(graph, pair.query) - timeAt(graph, pair.matched)) /
@@ -79,9 +83,12 @@ export function PairTable({store, graph, pair}:
         <tbody>
           {rows.map(([name, sequence]) => {
             const node = nodeAt(graph, sequence);
+            const recording = recordingOf(recordings, node);
             return (
               <tr key={name}>
-                <th scope="row">{name}</th>
+                <th scope="row">
+                  {name}{recording && <>, in {recording.title}</>}
+                </th>
                 <td>{count(sequence)}</td>
                 <td>{instant(timeAt(graph, sequence)) || 'no stamp'}</td>
                 <td>{node < 0 ? '–' : length(graph.travelled[node])}</td>
@@ -96,24 +103,34 @@ export function PairTable({store, graph, pair}:
   );
 }
 
-/** Where in the whole drive both places lie. */
-export function Locator({graph, pair}: {graph: Graph, pair: Pair}) {
+type Recordings = readonly PlacedRecording[];
+
+/** A map of the drive, or of some of its recordings, with those poses of a pair
+ * that lie there. */
+function SmallMap({graph, recordings, pair, label}: {
+  graph: Graph, recordings: Recordings, pair: Pair, label: string,
+}) {
   const path = useMemo(() => {
-    const drawer = new PathDrawer(graph, 0, graph.size - 1);
-    return {drawer, box: boxAround([...graph.pyramid.boxes])};
-  }, [graph]);
+    const stretches: Array<[number, number]> = recordings.length === 0 ?
+        [[0, graph.size - 1]] : recordings.map(({from, to}) => [from, to]);
+    return {drawer: new StretchesDrawer(graph, stretches),
+            box: recordings.length === 0 ? boxAround([...graph.pyramid.boxes]) :
+                                           boxOfRecordings(graph, recordings)};
+  }, [graph, recordings]);
   const scene: Scene = useMemo(() => {
     const at = (sequence: number) => {
       const i = Math.max(0, nodeAt(graph, sequence));
-      return [graph.x[i], graph.y[i]];
+      return isShownIn(recordings, recordings, i) ? [graph.x[i], graph.y[i]] :
+                                                    [];
     };
     const [query, matched] = [at(pair.query), at(pair.matched)];
+    const isWhole = query.length > 0 && matched.length > 0;
     return {
       shapes: [
         {kind: 'strokes', id: 'whole path', label: 'Path', colour: 'path',
          widthPixels: 1.5, segmentsIn: view => path.drawer.segmentsIn(view)},
         strokes({id: 'pair', label: 'Pair', colour: 'selected',
-                 widthPixels: 2}, [...query, ...matched]),
+                 widthPixels: 2}, isWhole ? [...query, ...matched] : []),
         dots({id: 'match', label: 'Match', colour: 'matched-path',
               radiusPixels: 7}, matched),
         dots({id: 'query', label: 'Query', colour: 'query-path',
@@ -121,8 +138,38 @@ export function Locator({graph, pair}: {graph: Graph, pair: Pair}) {
       ],
       box: path.box,
     };
-  }, [graph, path, pair.query, pair.matched]);
-  return <MapView small scene={scene}
-                  label={`Where poses ${count(pair.query)} and ${
-                      count(pair.matched)} lie in the whole drive`} />;
+  }, [graph, recordings, path, pair.query, pair.matched]);
+  return <MapView small scene={scene} label={label} />;
+}
+
+/** Where in the whole drive both places lie; each in its own recording where the
+ * frames of these are not tied. */
+export function Locator({graph, recordings, pair}:
+    {graph: Graph, recordings: Recordings, pair: Pair}) {
+  const maps = useMemo(() => {
+    const [query, matched] = recordingsOf(graph, recordings, pair);
+    if (!query || !matched) return [];
+    if (!areInOneFrame(graph, recordings, pair)) return [[query], [matched]];
+    return [query.isPlaced ? recordings.filter(({isPlaced}) => isPlaced) :
+                             [query]];
+  }, [graph, recordings, pair.query, pair.matched]);
+  if (maps.length === 2) {
+    return (
+      <>
+        {maps.map((shown, i) => (
+          <div key={shown[0].id}>
+            <p class="hint">{i === 0 ? 'A' : 'B'}, in its own frame:{' '}
+              {shown[0].title}</p>
+            <SmallMap graph={graph} recordings={shown} pair={pair}
+                      label={`Where pose ${
+                          count(i === 0 ? pair.query : pair.matched)} lies in ${
+                          shown[0].title}`} />
+          </div>
+        ))}
+      </>
+    );
+  }
+  return <SmallMap graph={graph} recordings={maps[0] ?? recordings} pair={pair}
+                   label={`Where poses ${count(pair.query)} and ${
+                       count(pair.matched)} lie in the whole drive`} />;
 }

@@ -1,10 +1,13 @@
 // The numbers of a candidate, and those at which the rules looked.
-import {type Candidate, Direction, GateVerdict, Verdict} from
-    '../../gen/revisit/v1/candidate_pb.js';
+import {type Candidate, Direction, GateVerdict, type PoseDifference,
+        Verdict} from '../../gen/revisit/v1/candidate_pb.js';
 import {CovarianceForm} from '../../gen/revisit/v1/geometry_pb.js';
+import {FrameState} from '../../gen/revisit/v1/recording_pb.js';
+import type {PlacedRecording} from '../data/recordings.js';
 import type {Fact} from '../parts/facts.js';
 import {count, degrees, fixed, length, probability, words} from
     '../parts/format.js';
+import {tieText, titleOfMatch} from './recordings.js';
 
 export interface Evidence {
   rule: string;
@@ -44,24 +47,32 @@ export function evidenceOf(candidate: Candidate, acceptance: number):
     Evidence[] {
   const {gate, pathGate, verdict, shape} = candidate;
   const rejectedByPath = pathGate?.verdict === GateVerdict.REJECTED;
-  const rows: Evidence[] = [{
+  const rows: Evidence[] = [gate ? {
     rule: 'Gate: squared distance at the end',
-    got: `${fixed(gate!.squaredMahalanobisDistance, 2)} (p ${
-        probability(gate!.pValue)})`,
-    allowed: `≤ ${fixed(gate!.threshold, 2)} (${
-        gate!.degreesOfFreedom} degrees of freedom)`,
-    passed: passedOf(gate!.verdict),
+    got: `${fixed(gate.squaredMahalanobisDistance, 2)} (p ${
+        probability(gate.pValue)})`,
+    allowed: `≤ ${fixed(gate.threshold, 2)} (${
+        gate.degreesOfFreedom} degrees of freedom)`,
+    passed: passedOf(gate.verdict),
     decided: verdict === Verdict.REJECTED_BY_GATE ||
         verdict === Verdict.ILL_CONDITIONED,
+  } : {
+    rule: 'Gate: squared distance at the end',
+    got: 'not known, since nothing ties the frames of both poses',
+    allowed: 'the shape alone is compared',
+    decided: false,
   }];
-  if (pathGate) {
+  if (pathGate && gate) {
     rows.push({
       rule: 'The same, smoothed over the stretch',
       got: fixed(pathGate.endSquaredMahalanobisDistance, 2),
-      allowed: `≤ ${fixed(gate!.threshold, 2)}`,
-      passed: pathGate.endSquaredMahalanobisDistance <= gate!.threshold,
+      allowed: `≤ ${fixed(gate.threshold, 2)}`,
+      passed: pathGate.endSquaredMahalanobisDistance <= gate.threshold,
       decided: verdict === Verdict.REJECTED_BY_GATE,
-    }, {
+    });
+  }
+  if (pathGate) {
+    rows.push({
       rule: 'Path gate: squared distance of the stretch',
       got: `${fixed(pathGate.squaredMahalanobisDistance, 2)} (p ${
           probability(pathGate.pValue)})`,
@@ -103,31 +114,50 @@ export function evidenceOf(candidate: Candidate, acceptance: number):
   return rows;
 }
 
-function deviations({difference}: Candidate):
+function deviations({covariance}: PoseDifference):
     {x: number, y: number, heading: number} {
-  const {form, values} = difference!.covariance!;
+  const {form, values} = covariance!;
   const [yy, hh] = form === CovarianceForm.SPATIAL_10 ? [4, 9] : [3, 5];
   return {x: Math.sqrt(values[0]), y: Math.sqrt(values[yy]),
           heading: Math.sqrt(values[hh])};
 }
 
-export function factsOf(candidate: Candidate): Fact[] {
+function differenceFacts(difference: PoseDifference|undefined): Fact[] {
+  if (!difference) {
+    return [['Difference', 'not known: nothing ties the frames of both poses']];
+  }
+  const deviation = deviations(difference);
+  return [
+    ['Difference x', `${fixed(difference.xMeters, 2)} ± ${
+        fixed(deviation.x, 2)} m`],
+    ['Difference y', `${fixed(difference.yMeters, 2)} ± ${
+        fixed(deviation.y, 2)} m`],
+    ['Difference of heading', `${degrees(difference.headingRadians)} ± ${
+        degrees(deviation.heading)}`],
+  ];
+}
+
+/** The numbers of a candidate of a vehicle with these recordings. */
+export function factsOf(candidate: Candidate,
+                        recordings: readonly PlacedRecording[]): Fact[] {
   const {query, matched, difference, gate, placeInterval} = candidate;
-  const deviation = deviations(candidate);
+  const isWithinOne = recordings.length === 0 ||
+      candidate.frameState === FrameState.SAME;
   return [
     ['Query', `pose ${count(query!.sequence)}, node ${count(query!.index)}`],
     ['Match', `pose ${count(matched!.sequence)}, node ${
         count(matched!.index)}`],
     ['Path between them', length(query!.travelledMeters -
-                                 matched!.travelledMeters)],
+                                 matched!.travelledMeters) +
+        (isWithinOne ? '' : ', without what lies between recordings')],
     ['Direction', words(Direction[candidate.direction])],
-    ['Difference x', `${fixed(difference!.xMeters, 2)} ± ${
-        fixed(deviation.x, 2)} m`],
-    ['Difference y', `${fixed(difference!.yMeters, 2)} ± ${
-        fixed(deviation.y, 2)} m`],
-    ['Difference of heading', `${degrees(difference!.headingRadians)} ± ${
-        degrees(deviation.heading)}`],
-    ['Deviations multiplied by', fixed(gate!.inflation, 2)],
+    ...recordings.length > 0 ? [
+      ['Recording of the match', titleOfMatch(recordings, candidate)],
+      ['Frames', tieText(candidate)],
+    ] as Fact[] : [],
+    ...differenceFacts(difference),
+    ...gate ? [['Deviations multiplied by', fixed(gate.inflation, 2)] as Fact] :
+              [],
     ...(placeInterval ? [[
       'Where to look', `from ${length(placeInterval.metersBefore)} before to ${
           length(placeInterval.metersAfter)} after the match`,

@@ -5,6 +5,7 @@ import {allFound, type Answer, type Found, keyOf, pairOf, verdictName} from
     '../data/candidates.js';
 import {type Decision, pairName} from '../data/decisions.js';
 import {type Graph, nodeAt, nodeAtDistance} from '../data/graph.js';
+import {type PlacedRecording, recordingOf} from '../data/recordings.js';
 import type {VehicleStore} from '../data/vehicle.js';
 import {type Colour, dots, type Mark, marks, type Shape, strokes,
         type Strokes, type Things} from '../draw/scene.js';
@@ -147,15 +148,19 @@ export function candidateShapes(store: VehicleStore, graph: Graph,
 
 /** The stretches of path in which a verifier would look for the places, as far
  * as they lie before node `cut`. */
-export function stretchShapes(graph: Graph, found: Found[], cut: number):
-    Shape[] {
+export function stretchShapes(
+    graph: Graph, recordings: readonly PlacedRecording[], found: Found[],
+    cut: number): Shape[] {
   const segments: number[] = [];
   for (const {candidate: {matched, placeInterval}} of found) {
     if (!placeInterval) continue;
     const centre = matched!.travelledMeters;
     const first = nodeAtDistance(graph, centre - placeInterval.metersBefore);
     const end = nodeAtDistance(graph, centre + placeInterval.metersAfter);
-    for (let i = first; i < Math.min(end, cut); ++i) {
+    // As far along the path there may be the end of the recording before, too.
+    const {from, to} = recordingOf(recordings, Number(matched!.index)) ??
+        {from: 0, to: graph.size - 1};
+    for (let i = Math.max(first, from); i < Math.min(end, to, cut); ++i) {
       if (!graph.joined[i + 1]) continue;
       segments.push(graph.x[i], graph.y[i], graph.x[i + 1], graph.y[i + 1]);
     }

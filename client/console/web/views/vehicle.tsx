@@ -27,6 +27,9 @@ import {useTitle} from '../title.js';
 import {answersUpTo, candidateShapes, decisionShapes, ellipseShape, linkTo,
         openQueue, pathShapes, posesToAsk, stretchShapes, VERDICTS} from
     './drive.js';
+import {boxOfRecordings, isShownIn, recordingNames, recordingShapes,
+        RecordingTable, shownOf, ShownRecordings, tieText, titleOfMatch} from
+    './recordings.js';
 import {Settings} from './vehicle_settings.js';
 
 const REPLAY_SECONDS = 60;
@@ -47,6 +50,7 @@ function boxOfGraph({x, y, size}: Graph): Box|undefined {
 }
 
 function columnsFor(store: VehicleStore, at: number): Array<Column<Found>> {
+  const recordings = store.recordings.value;
   const decision = (found: Found) =>
       store.decisionAbout(pairOf(found), at)?.kind ?? '';
   return [
@@ -69,14 +73,22 @@ function columnsFor(store: VehicleStore, at: number): Array<Column<Found>> {
      cell: ({candidate}) => candidate.probability === undefined ?
          '–' : probability(candidate.probability)},
     {title: 'd² / gate', number: true,
-     by: ({candidate: {gate}}) =>
-         gate!.squaredMahalanobisDistance / gate!.threshold,
-     cell: ({candidate: {gate}}) =>
-       `${fixed(gate!.squaredMahalanobisDistance, 2)} / ${
-           fixed(gate!.threshold, 2)}`},
+     by: ({candidate: {gate}}) => gate ?
+         gate.squaredMahalanobisDistance / gate.threshold : NaN,
+     cell: ({candidate: {gate}}) => gate ?
+         `${fixed(gate.squaredMahalanobisDistance, 2)} / ${
+             fixed(gate.threshold, 2)}` : 'shape alone'},
     {title: 'Rank', number: true, by: ({candidate}) => candidate.rank,
      cell: ({candidate}) => candidate.rank},
     {title: 'Decision', by: decision, cell: decision},
+    ...recordings.length > 0 ? [
+      {title: 'Recording of the match',
+       by: ({candidate}: Found) => titleOfMatch(recordings, candidate),
+       cell: ({candidate}: Found) => titleOfMatch(recordings, candidate)},
+      {title: 'Frames',
+       by: ({candidate}: Found) => tieText(candidate),
+       cell: ({candidate}: Found) => tieText(candidate)},
+    ] : [],
   ];
 }
 
@@ -199,6 +211,8 @@ function factsNow(vehicle: Vehicle, store: VehicleStore): Fact[] {
     ['Rejected', count(store.decisions.rejections.value.length)],
     ['Inflation', consistency ? fixed(consistency.inflation, 2) : '–'],
     ['Revision', count(vehicle.revision)],
+    ...store.recordings.value.length > 0 ? [
+      ['Recordings', count(store.recordings.value.length)] as Fact] : [],
   ];
 }
 
@@ -405,41 +419,66 @@ export function VehicleView({id}: {id: string}) {
                              shown.has(colours.get(verdict)!)),
       [found, shown]);
 
+  const recordings = store.recordings.value;
+  const chosen = query.value.get('recording');
+  const onMap = useMemo(() => shownOf(recordings, chosen),
+                        [recordings, chosen]);
+  const isOnMap = (pose: number) =>
+      isShownIn(recordings, onMap, nodeAt(graph!, pose));
+  const arePairsOnMap = ({query: a, matched: b}:
+      Pick<Decision, 'query'|'matched'>) => isOnMap(a) && isOnMap(b);
+  const drawn = useMemo(
+      () => graph ? listed.filter(one => arePairsOnMap(pairOf(one))) : [],
+      [graph, listed, onMap]);
+
   const cut = graph ? Math.max(0, nodeAt(graph, at)) : 0;
-  const paths = useMemo(() => graph && graph.size > 0 ?
-                            pathShapes(graph, cut) : [], [graph, cut]);
+  const paths = useMemo(
+      () => !graph || graph.size === 0 ? [] : recordings.length === 0 ?
+          pathShapes(graph, cut) :
+          recordingShapes(graph, recordings, onMap, cut),
+      [graph, recordings, onMap, cut]);
+  const names = useMemo(
+      () => graph && recordingNames(
+          graph, recordings, onMap.filter(({from}) => from <= cut)),
+      [graph, recordings, onMap, cut]);
   const ellipses = useMemo(
       () => graph && shown.has('ellipse') ? [ellipseShape(graph,
-                                  checks.filter(({pose}) => pose <= at)
+                                  checks.filter(
+                                      ({pose}) => pose <= at && isOnMap(pose))
                                       .map(({node}) => node))] : [],
-      [graph, checks, at, shown]);
+      [graph, checks, at, shown, onMap]);
   const stretches = useMemo(
       () => graph ? stretchShapes(
-                        graph, listed.filter(({candidate}) =>
+                        graph, recordings, drawn.filter(({candidate}) =>
                                    candidate.verdict === Verdict.ACCEPTED),
                         cut) :
                     [],
-      [graph, listed, cut]);
+      [graph, drawn, cut]);
   const links = useMemo(
-      () => graph ? candidateShapes(store, graph, listed) : [],
-      [graph, listed]);
+      () => graph ? candidateShapes(store, graph, drawn) : [],
+      [graph, drawn]);
   const decided = useMemo(() => graph ? [
     ...decisionShapes(store, graph, {id: 'closures', label: 'Loop closure',
-                                     colour: 'closure'}, closures.value, at),
+                                     colour: 'closure'},
+                     closures.value.filter(arePairsOnMap), at),
     ...decisionShapes(store, graph, {
       id: 'rejections', label: 'Rejected by a verifier', colour: 'rejection',
-      dash: [4, 4]}, rejections.value, at),
-  ] : [], [graph, closures.value, rejections.value, at]);
+      dash: [4, 4]}, rejections.value.filter(arePairsOnMap), at),
+  ] : [], [graph, closures.value, rejections.value, at, onMap]);
   const decisions = useMemo(
       () => everyDecision.value.filter(({query: pose}) => pose <= at)
                 .sort((a, b) => b.query - a.query),
       [everyDecision.value, at]);
-  const box = useMemo(() => graph && boxOfGraph(graph), [graph]);
+  const box = useMemo(
+      () => graph && (recordings.length === 0 ?
+          boxOfGraph(graph) : boxOfRecordings(graph, onMap)),
+      [graph, recordings, onMap]);
   const scene: Scene = useMemo(() => ({
     shapes: [...ellipses, ...stretches, ...paths.slice(0, -1), ...links,
              ...decided, ...paths.slice(-1)],
     box,
-  }), [ellipses, stretches, links, paths, decided, box]);
+    names,
+  }), [ellipses, stretches, links, paths, decided, box, names]);
   const origin = vehicle?.settings?.geodeticOrigin;
   const frame = useMemo(() => origin && tangentFrame({
     latitude: origin.latitudeDegrees, longitude: origin.longitudeDegrees,
@@ -449,7 +488,7 @@ export function VehicleView({id}: {id: string}) {
       () => graph && vehicle ? curvesOf(graph, vehicle, answers, cut) : [],
       [graph, vehicle, answers, cut]);
   const columns = useMemo(() => columnsFor(store, at),
-                          [store, at, everyDecision.value, graph]);
+                          [store, at, everyDecision.value, graph, recordings]);
   const forDecisions = useMemo(() => decisionColumns(store),
                                [store, checks]);
   const forUndone = useMemo(() => undoneColumns(store), [store, checks]);
@@ -490,11 +529,17 @@ export function VehicleView({id}: {id: string}) {
         <>
           <Slider newest={newest} at={at} live={live} />
           <div class="map-and-table">
-            <MapView scene={scene} frame={frame} shownRef={sheet}
+            <MapView key={chosen} scene={scene} frame={frame} shownRef={sheet}
                      pointed={pointed} onPoint={setPointed}
                      label={`Map of the path of ${name}; the table has its ` +
                             'candidates'} />
             <div class="side">
+              {recordings.length > 0 && (
+                <>
+                  <ShownRecordings recordings={recordings} chosen={chosen} />
+                  <RecordingTable recordings={recordings} chosen={chosen} />
+                </>
+              )}
               <Shown shown={shown} found={found} />
               <Searches store={store} at={at} />
               <Table label="Candidates" columns={columns} rows={listed}
