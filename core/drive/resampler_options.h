@@ -8,12 +8,12 @@ namespace revisit::core {
 // How poses become nodes (distance_resampler.h).
 struct ResamplerOptions {
   StateSpace state_space = StateSpace::kPlanar;
-  double spacing_meters = 2.0;
-  double max_step_meters = 100.0;
-  double standstill_fraction = 0.05;
   // Whether nodes get error transitions; all samples but the first must have
   // them.
   bool carry_transitions = false;
+  double spacing_meters = 2.0;
+  double max_step_meters = 100.0;
+  double standstill_fraction = 0.05;
 
   // A step from the last counted pose adds distance unless it is one of these.
   bool IsStandstill(double step_meters) const {

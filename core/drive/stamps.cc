@@ -114,17 +114,20 @@ void LeapWatch::Extend(const PoseGraph& graph,
         !IsLaterBy(*node.stamp_ns, before_->ns, *max_age_ns_)) {
       continue;
     }
-    leap_node_ = next_;
-    leap_ = StampLeap{node.sequence + (node.fraction > 0.0 ? 1 : 0), 0};
+    StampLeap leap;
+    leap.sequence = node.sequence + (node.fraction > 0.0 ? 1 : 0);
     if (__builtin_sub_overflow(*node.stamp_ns, before_->ns,
-                               &leap_->nanoseconds)) {
-      leap_->nanoseconds = std::numeric_limits<std::int64_t>::max();
+                               &leap.nanoseconds)) {
+      leap.nanoseconds = std::numeric_limits<std::int64_t>::max();
     }
+    leap_ = std::make_unique<const Leap>(Leap{next_, leap});
   }
 }
 
 std::optional<StampLeap> LeapWatch::leap() const {
-  return leap_ && leap_node_ >= next_ - newest_nodes_ ? leap_ : std::nullopt;
+  return leap_ && leap_->node >= next_ - newest_nodes_
+             ? std::optional<StampLeap>(leap_->leap)
+             : std::nullopt;
 }
 
 }  // namespace revisit::core

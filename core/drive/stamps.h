@@ -29,6 +29,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <optional>
 #include <vector>
 
@@ -104,6 +105,11 @@ class LeapWatch {
     std::int64_t ns = 0;
   };
 
+  struct Leap {
+    NodeIndex node = 0;
+    StampLeap leap;
+  };
+
   std::optional<std::int64_t> max_age_ns_;
   NodeIndex newest_nodes_;
   NodeIndex next_ = 0;
@@ -114,8 +120,9 @@ class LeapWatch {
   // The last stamp before these poses, and the last of all.
   std::optional<Stamp> before_;
   std::optional<Stamp> last_;
-  NodeIndex leap_node_ = 0;
-  std::optional<StampLeap> leap_;
+  // Every vehicle in memory has a watch, so it holds room for a leap only where
+  // one was seen.
+  std::unique_ptr<const Leap> leap_;
 };
 
 }  // namespace revisit::core

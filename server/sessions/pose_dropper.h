@@ -80,7 +80,7 @@ class PoseDropper {
   };
   struct Work {
     std::vector<core::SequenceRange> ranges;
-    // The poses of loop closures, and those that began recordings, sorted.
+    // The poses of loop closures, sorted.
     std::vector<std::uint64_t> referred;
     std::size_t range = 0;
     // The next row of the range begins here; 0 before its first row.

@@ -1,12 +1,13 @@
 // The memory that a node takes, found by counting every allocation of the
 // process.
 #include <gtest/gtest.h>
-#include <malloc.h>
 
 #include <algorithm>
+#include <cstddef>
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
+#include <cstring>
 #include <memory>
 #include <new>
 #include <random>
@@ -24,21 +25,33 @@ namespace {
 
 std::int64_t allocated_bytes = 0;
 
-void* Allocate(std::size_t size, std::size_t alignment) {
-  void* const memory =
-      alignment <= alignof(std::max_align_t)
-          ? std::malloc(size)
-          : std::aligned_alloc(alignment,
-                               (size + alignment - 1) / alignment * alignment);
-  if (memory == nullptr) std::abort();
-  allocated_bytes += static_cast<std::int64_t>(malloc_usable_size(memory));
-  return memory;
+// The bytes that malloc holds for a request: 8 in front of it, and a multiple
+// of 16 in all. malloc_usable_size() would depend on what was freed before,
+// since a remainder too small for a chunk of its own is given away with it.
+std::int64_t HeldBytes(std::size_t size) {
+  return static_cast<std::int64_t>(
+      std::max<std::size_t>((size + 8 + 15) / 16 * 16, 32));
 }
 
-void Free(void* memory) {
-  if (memory == nullptr) return;
-  allocated_bytes -= static_cast<std::int64_t>(malloc_usable_size(memory));
-  std::free(memory);
+// Every request remembers its size in front of the memory that it gets.
+void* Allocate(std::size_t size, std::size_t alignment) {
+  const std::size_t front = std::max(alignment, alignof(std::max_align_t));
+  void* const memory =
+      std::aligned_alloc(front, (front + size + front - 1) / front * front);
+  if (memory == nullptr) std::abort();
+  allocated_bytes += HeldBytes(size);
+  char* const given = static_cast<char*>(memory) + front;
+  std::memcpy(given - sizeof(size), &size, sizeof(size));
+  return given;
+}
+
+void Free(void* given, std::size_t alignment) {
+  if (given == nullptr) return;
+  const std::size_t front = std::max(alignment, alignof(std::max_align_t));
+  std::size_t size = 0;
+  std::memcpy(&size, static_cast<char*>(given) - sizeof(size), sizeof(size));
+  allocated_bytes -= HeldBytes(size);
+  std::free(static_cast<char*>(given) - front);
 }
 
 }  // namespace
@@ -47,11 +60,14 @@ void* operator new(std::size_t size) { return Allocate(size, 1); }
 void* operator new(std::size_t size, std::align_val_t alignment) {
   return Allocate(size, static_cast<std::size_t>(alignment));
 }
-void operator delete(void* memory) noexcept { Free(memory); }
-void operator delete(void* memory, std::size_t) noexcept { Free(memory); }
-void operator delete(void* memory, std::align_val_t) noexcept { Free(memory); }
-void operator delete(void* memory, std::size_t, std::align_val_t) noexcept {
-  Free(memory);
+void operator delete(void* memory) noexcept { Free(memory, 1); }
+void operator delete(void* memory, std::size_t) noexcept { Free(memory, 1); }
+void operator delete(void* memory, std::align_val_t alignment) noexcept {
+  Free(memory, static_cast<std::size_t>(alignment));
+}
+void operator delete(void* memory, std::size_t,
+                     std::align_val_t alignment) noexcept {
+  Free(memory, static_cast<std::size_t>(alignment));
 }
 
 namespace revisit::core {
