@@ -53,6 +53,10 @@ struct ListedMatch {
   Wide squared_innovations = 0.0L;
   Wide squared_end_difference = 0.0L;
   Wide scale = 1.0L;
+  // Whether a heading lies half a turn from the query's, as it does at the node
+  // that a closure ties to the query itself: rounding decides to which side,
+  // and so what is left of it once the path is known.
+  bool is_straight_across = false;
   std::vector<PathEntry> entries;
 };
 
@@ -433,14 +437,11 @@ class SurvivorLists {
     return anchors;
   }
 
-  // The end's difference once the path is known, under one anchor.
-  std::optional<WideQuadraticForm> Smoothed(core::NodeIndex j, int way,
-                                            const ListedPath& path,
-                                            const WeighedAnchor& anchor) const {
-    const auto [d, covariance] =
-        relation_.is_own() ? Anchor(j, way, anchor.scale, anchor.loop)
-                           : AnchorAcross(j, way, anchor.scale,
-                                          anchor.fixed_scale, anchor.loop);
+  // The end's difference once the path is known, under one anchor, which says
+  // this of it before.
+  std::optional<WideQuadraticForm> Smoothed(const WideVector& d,
+                                            const WideMatrix& covariance,
+                                            const ListedPath& path) const {
     const std::optional<WideQuadraticForm> claimed =
         EvaluateWide(covariance, d);
     if (!claimed) return std::nullopt;
@@ -474,7 +475,13 @@ class SurvivorLists {
         }
         continue;
       }
-      const auto form = Smoothed(j, way, path, anchor);
+      const auto [d, covariance] =
+          relation_.is_own() ? Anchor(j, way, anchor.scale, anchor.loop)
+                             : AnchorAcross(j, way, anchor.scale,
+                                            anchor.fixed_scale, anchor.loop);
+      match.is_straight_across |=
+          std::abs(std::abs(d(d_ - 1)) - kWidePi) < 1e-12L;
+      const auto form = Smoothed(d, covariance, path);
       if (!form) continue;
       match.possible = true;
       const Wide part =

@@ -151,9 +151,11 @@ void PathWalk<D>::WalkAll(const IsUseless& is_useless) {
            &unsettled_);
     if (unsettled_.empty() && after == before && !tracing_) continue;
     done.assign(after, 0);
+    CountPaths();
     for (const Unsettled& unsettled : unsettled_) {
       const std::size_t i = unsettled.walker;
-      done[i] = unsettled.hopeless || !Slip(t, unsettled);
+      const bool is_only = IsOnlyPath(i);
+      done[i] = unsettled.hopeless ? is_only : !Slip(t, unsettled, is_only);
     }
     if (after > before) Merge(before, &done);
     if (tracing_) Record(t);
@@ -164,6 +166,22 @@ void PathWalk<D>::WalkAll(const IsUseless& is_useless) {
     }
   }
   for (std::size_t i = 0; i < walkers_.size(); ++i) Credit(i);
+}
+
+// Where an end has several paths, one that is of no further use by itself still
+// ends those that meet it and are less likely.
+template <int D>
+void PathWalk<D>::CountPaths() {
+  if (!has_loops_ || unsettled_.empty()) return;
+  paths_of_.fill(0);
+  for (std::size_t i = 0; i < walkers_.size(); ++i) {
+    ++paths_of_[Position(walkers_.at(Walkers::kEnd, i))];
+  }
+}
+
+template <int D>
+inline bool PathWalk<D>::IsOnlyPath(std::size_t i) const {
+  return !has_loops_ || paths_of_[Position(walkers_.at(Walkers::kEnd, i))] == 1;
 }
 
 // Ends the paths that are of no use after step t. Where paths cross loop
@@ -244,17 +262,20 @@ void PathWalk<D>::WalkOver(std::int64_t t, std::size_t i, NodeIndex far) {
 }
 
 // Where keeping step may not be best, takes the likeliest of keeping step,
-// staying and skipping a node. Returns false if none is possible.
+// staying and skipping a node; only keeping step where that is all the same for
+// an end's only path. Returns false if none is possible.
 template <int D>
-inline bool PathWalk<D>::Slip(std::int64_t t, const Unsettled& unsettled) {
+inline bool PathWalk<D>::Slip(std::int64_t t, const Unsettled& unsettled,
+                              bool is_only) {
   const std::size_t i = unsettled.walker;
   const WalkStep& step = recent_.step(t);
   // The log-likelihood ratio without any innovation from here on.
   const double most = walkers_.at(Walkers::kRatio, i) + step.surprise +
                       step.to_come - kSlipCost;
-  const bool slips = most > walkers_.at(Walkers::kBestRatio, i) &&
-                     most + 0.25 * walkers_.at(Walkers::kSquared, i) >=
-                         walkers_.at(Walkers::kNeeded, i);
+  const bool slips =
+      !is_only || (most > walkers_.at(Walkers::kBestRatio, i) &&
+                   most + 0.25 * walkers_.at(Walkers::kSquared, i) >=
+                       walkers_.at(Walkers::kNeeded, i));
   double gained = kImpossible;
   NodeIndex nodes = 0;
   const auto consider = [&](double squared, double cost, NodeIndex on) {

@@ -9,11 +9,14 @@
 // to begin with, and one more for each loop closure that is crossed. Where
 // paths of one end meet after a loop closure, only the likeliest is walked on,
 // and at most kMostPaths are in all. A path ends where the next innovation lies
-// beyond kSquaredInnovationLimit. Opposite passes walk the history forward in
-// time with all headings turned by pi.
+// beyond kSquaredInnovationLimit. An end's only path ends early once it can
+// count for nothing more; one of several is walked on, for those that it may
+// end. Opposite passes walk the history forward in time with all headings
+// turned by pi.
 #ifndef REVISIT_CORE_SEARCH_ALIGNMENT_PATH_WALK_H_
 #define REVISIT_CORE_SEARCH_ALIGNMENT_PATH_WALK_H_
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <functional>
@@ -69,8 +72,8 @@ struct BestPaths {
   DifferenceChange change;
 };
 
-// An end to walk back from. A path is given up once its log-likelihood ratio
-// plus a quarter of its squared innovations cannot come to `needed`.
+// An end to walk back from. Its only path is given up once its log-likelihood
+// ratio plus a quarter of its squared innovations cannot come to `needed`.
 struct WalkStart {
   NodeIndex end = 0;
   double needed = kImpossible;
@@ -119,7 +122,9 @@ class PathWalk {
   void GiveUp(std::int64_t t, const IsUseless& is_useless);
   void WalkOverLoops(std::int64_t t, std::size_t walkers);
   void WalkOver(std::int64_t t, std::size_t i, NodeIndex far);
-  bool Slip(std::int64_t t, const Unsettled& unsettled);
+  void CountPaths();
+  bool IsOnlyPath(std::size_t i) const;
+  bool Slip(std::int64_t t, const Unsettled& unsettled, bool is_only);
   void Take(std::int64_t t, std::size_t i, NodeIndex to, const Drift& drift,
             double gained, double squared_innovation);
   void Merge(std::size_t first, std::vector<char>* done) const;
@@ -148,6 +153,8 @@ class PathWalk {
   BestPaths best_;
   Walkers walkers_;
   std::vector<Unsettled> unsettled_;
+  // The number of paths by slot, where paths cross loop closures.
+  std::array<std::uint32_t, NodeBlock::kSize> paths_of_ = {};
   // Paths that were asked about, and those that were of no use.
   std::int64_t asked_ = 0;
   std::int64_t given_up_ = 0;
