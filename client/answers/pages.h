@@ -7,6 +7,7 @@
 #include <string>
 #include <type_traits>
 #include <utility>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
@@ -117,6 +118,22 @@ absl::Status VisitPages(Request request, const List& list, const Items& items,
     const absl::StatusOr<bool> goes_on = visit(reader.page());
     if (!goes_on.ok()) return goes_on.status();
     if (!*goes_on) return absl::OkStatus();
+  }
+}
+
+// All that the pages of a list hold. Errors are those of PageReader.
+template <typename Request, typename List, typename Items>
+auto ReadPages(Request request, const List& list, const Items& items)
+    -> absl::StatusOr<
+        std::vector<std::decay_t<decltype(*items((*list(request))).begin())>>> {
+  PageReader<Request, List, Items> reader(std::move(request), list, items);
+  std::vector<std::decay_t<decltype(*items(reader.page()).begin())>> all;
+  for (;;) {
+    const absl::StatusOr<bool> found = reader.Next();
+    if (!found.ok()) return found.status();
+    if (!*found) return all;
+    all.insert(all.end(), items(reader.page()).begin(),
+               items(reader.page()).end());
   }
 }
 

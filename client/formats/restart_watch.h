@@ -8,7 +8,7 @@
 // its covariance has fallen, which errors that add up do not allow. A leap is
 // at least kLeapMeters long, and kUsualSteps times as long as the step before.
 //
-// Not thread-safe.
+// A RestartWatch is not thread-safe.
 #ifndef REVISIT_CLIENT_FORMATS_RESTART_WATCH_H_
 #define REVISIT_CLIENT_FORMATS_RESTART_WATCH_H_
 

@@ -93,7 +93,7 @@ struct MapRecording {
   std::size_t first_node = 0;
   // For the legend: which one it is, and how well it is known where it lies.
   std::string label;
-  // As MapStyle.color.
+  // Colour of what is drawn, in the form of MapStyle.color.
   std::string color;
 };
 

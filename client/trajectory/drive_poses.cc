@@ -74,6 +74,25 @@ v1::Pose MakePose(const Sample& sample, const ClaimedUncertainty& uncertainty,
   return pose;
 }
 
+absl::StatusOr<v1::Pose> MakeNextPose(
+    const Sample& sample, v1::StateSpace state_space, std::uint64_t sequence,
+    RecordingStarts* starts, UncertaintyClaims* claims,
+    const std::function<void(const std::string& note)>& tell) {
+  auto begun = starts->Next(sample);
+  if (!begun.ok()) return begun.status();
+  if (begun->has_value()) {
+    claims->BeginFrame();
+    if (!(*begun)->note.empty()) tell((*begun)->note);
+  }
+  const auto claim = claims->Next(sample);
+  if (!claim.ok()) return claim.status();
+  v1::Pose pose = MakePose(sample, *claim, state_space, sequence);
+  if (begun->has_value()) {
+    *pose.mutable_recording_start() = std::move((*begun)->start);
+  }
+  return pose;
+}
+
 void AddErrorTransition(const Sample& sample, v1::Pose* pose) {
   for (const double entry : *sample.error_transition) {
     pose->add_error_transition(entry);

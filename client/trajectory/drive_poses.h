@@ -4,13 +4,16 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <map>
 #include <string>
 #include <vector>
 
+#include "absl/status/statusor.h"
 #include "client/formats/drive_file.h"
 #include "client/revisit/pose_stream.h"
 #include "client/trajectory/dead_reckoning.h"
+#include "client/trajectory/recording_starts.h"
 #include "revisit/v1/geometry.pb.h"
 #include "revisit/v1/vehicle.pb.h"
 
@@ -20,6 +23,15 @@ namespace revisit::client {
 // transition are left out.
 v1::Pose MakePose(const Sample& sample, const ClaimedUncertainty& uncertainty,
                   v1::StateSpace state_space, std::uint64_t sequence);
+
+// Makes the pose of the next sample of a drive, with what it claims and, where
+// a recording begins with it, its start; errors are then claimed anew. `tell`
+// is called with the note of such a start, if it has one. Errors are those of
+// the two.
+absl::StatusOr<v1::Pose> MakeNextPose(
+    const Sample& sample, v1::StateSpace state_space, std::uint64_t sequence,
+    RecordingStarts* starts, UncertaintyClaims* claims,
+    const std::function<void(const std::string& note)>& tell);
 
 // Adds the error transition of a planar sample.
 // REQUIRES: the sample has one.

@@ -60,7 +60,7 @@ class G2oWriter {
   void WriteVertex(const LocalPose& pose);
   // `from` and `to` as they were sent.
   void WriteStep(const LocalPose& from, const LocalPose& to);
-  // What leads to the first pose of a recording.
+  // Writes the edges that lead to the first pose of a recording.
   void WriteStart(const LocalPose& to);
   void WriteEdge(const RelativePose& relative, const LocalPose& from,
                  const LocalPose& to);

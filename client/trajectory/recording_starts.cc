@@ -164,6 +164,14 @@ std::string RelationText(const v1::RecordingStart& start) {
   }
 }
 
+bool PosesTellOfFrames(v1::CorrelationModel model,
+                       const UncertaintyOptions& uncertainty) {
+  return (model == v1::CORRELATION_MODEL_UNSPECIFIED ||
+          model == v1::CORRELATION_MODEL_DEAD_RECKONING) &&
+         uncertainty.source != UncertaintyOptions::Source::kFixes &&
+         !uncertainty.start_is_given;
+}
+
 RecordingStarts::RecordingStarts(const RecordingChoice& choice,
                                  v1::StateSpace state_space,
                                  bool looks_at_poses)

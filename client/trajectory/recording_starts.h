@@ -8,12 +8,13 @@
 
 #include "absl/status/statusor.h"
 #include "client/formats/sample.h"
+#include "client/trajectory/dead_reckoning.h"
 #include "revisit/v1/geometry.pb.h"
 #include "revisit/v1/vehicle.pb.h"
 
 namespace revisit::client {
 
-// What --recording says of the recordings that begin.
+// A value of --recording: how the recordings that begin lie to others.
 struct RecordingChoice {
   enum class Kind {
     // Nobody has said it: a file that does not go on where the one before it
@@ -35,9 +36,14 @@ struct RecordingChoice {
     double radians = 0.0;
   };
 
+  // Whether it tells of frames by itself, which only local positions have.
+  bool tells_of_frames() const {
+    return kind != Kind::kByPoses && kind != Kind::kSame;
+  }
+
   Kind kind = Kind::kByPoses;
-  // Of kDatum always; of kAfter where it was given, which otherwise means what
-  // the service does (RecordingStart).
+  // How uncertain the start is. kDatum always has it; kAfter has it where it
+  // was given, and otherwise means what the service does (RecordingStart).
   std::optional<Size> size;
   // Datum.datum_id.
   std::string datum_id;
@@ -67,6 +73,17 @@ v1::RecordingStart MakeRecordingStart(const RecordingChoice& choice,
 // map-3", "unknown".
 std::string RelationText(const v1::RecordingStart& start);
 
+// Why --recording is refused where it tells of frames.
+inline constexpr char kGeodeticFrame[] =
+    "geodetic positions, which are in one frame whatever was recorded when: "
+    "--recording goes with local ones";
+
+// Whether poses tell where a recording begins: errors are carried on along the
+// drive, and where those of starts are given, they are in the frame of the
+// recordings before.
+bool PosesTellOfFrames(v1::CorrelationModel model,
+                       const UncertaintyOptions& uncertainty);
+
 // Finds the recordings among samples that come one after the other, from one
 // file or many. The result depends on samples alone, so that a stream that is
 // resumed sends the same poses again. Not thread-safe.
@@ -78,8 +95,7 @@ class RecordingStarts {
     std::optional<std::int64_t> time_nanoseconds;
   };
 
-  // `looks_at_poses`: whether poses tell where a recording begins, as the
-  // errors of one are carried on (dead reckoning); kByPoses is else kSame.
+  // `looks_at_poses`: PosesTellOfFrames(); kByPoses is else kSame.
   RecordingStarts(const RecordingChoice& choice, v1::StateSpace state_space,
                   bool looks_at_poses);
 
@@ -94,8 +110,8 @@ class RecordingStarts {
     v1::RecordingStart start;
     // Whether the poses have shown it, which nobody has said.
     bool by_poses = false;
-    // What is to be told of it, without a full stop; empty where there is
-    // nothing to tell.
+    // A note about the start for the user, without a full stop; empty where
+    // there is nothing to tell.
     std::string note;
   };
 

@@ -55,6 +55,9 @@ class PoseReader {
   int next_ = 0;
 };
 
+// Entries of a page of all lists but that of poses.
+constexpr int kPageSize = 1000;
+
 }  // namespace
 
 absl::Status VisitPoses(
@@ -97,75 +100,47 @@ absl::Status VisitBothViews(
 
 absl::StatusOr<std::vector<v1::LoopClosure>> ReadLoopClosures(
     const Client& client, const std::string& vehicle) {
-  constexpr int kPageSize = 1000;
-  std::vector<v1::LoopClosure> all;
   v1::ListLoopClosuresRequest request;
   request.set_parent(vehicle);
   request.set_page_size(kPageSize);
-  const absl::Status status = VisitPages(
+  return ReadPages(
       request,
       [&](const v1::ListLoopClosuresRequest& asked) {
         return client.ListLoopClosures(asked);
       },
       [](const v1::ListLoopClosuresResponse& page) -> const auto& {
         return page.loop_closures();
-      },
-      [&](const v1::ListLoopClosuresResponse& page) -> absl::StatusOr<bool> {
-        all.insert(all.end(), page.loop_closures().begin(),
-                   page.loop_closures().end());
-        return true;
       });
-  if (!status.ok()) return status;
-  return all;
 }
 
 absl::StatusOr<std::vector<v1::RejectedCandidate>> ReadRejectedCandidates(
     const Client& client, const std::string& vehicle) {
-  constexpr int kPageSize = 1000;
-  std::vector<v1::RejectedCandidate> all;
   v1::ListRejectedCandidatesRequest request;
   request.set_parent(vehicle);
   request.set_page_size(kPageSize);
-  const absl::Status status = VisitPages(
+  return ReadPages(
       request,
       [&](const v1::ListRejectedCandidatesRequest& asked) {
         return client.ListRejectedCandidates(asked);
       },
       [](const v1::ListRejectedCandidatesResponse& page) -> const auto& {
         return page.rejected_candidates();
-      },
-      [&](const v1::ListRejectedCandidatesResponse& page)
-          -> absl::StatusOr<bool> {
-        all.insert(all.end(), page.rejected_candidates().begin(),
-                   page.rejected_candidates().end());
-        return true;
       });
-  if (!status.ok()) return status;
-  return all;
 }
 
 absl::StatusOr<std::vector<v1::Recording>> ReadRecordings(
     const Client& client, const std::string& vehicle) {
-  constexpr int kPageSize = 1000;
-  std::vector<v1::Recording> all;
   v1::ListRecordingsRequest request;
   request.set_parent(vehicle);
   request.set_page_size(kPageSize);
-  const absl::Status status = VisitPages(
+  return ReadPages(
       request,
       [&](const v1::ListRecordingsRequest& asked) {
         return client.ListRecordings(asked);
       },
       [](const v1::ListRecordingsResponse& page) -> const auto& {
         return page.recordings();
-      },
-      [&](const v1::ListRecordingsResponse& page) -> absl::StatusOr<bool> {
-        all.insert(all.end(), page.recordings().begin(),
-                   page.recordings().end());
-        return true;
       });
-  if (!status.ok()) return status;
-  return all;
 }
 
 const v1::Recording* RecordingOf(const std::vector<v1::Recording>& recordings,

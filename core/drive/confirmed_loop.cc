@@ -42,8 +42,8 @@ PoseEstimate CarriedToQuery(const MeasuredLoop& loop) {
 
 template <int D>
 StateMatrix<D> MeasurementCovariance(const MeasuredLoop& loop) {
-  const StateMatrix<D> turn = TurnAbout<D>(loop.matched.pose.heading);
-  return turn * ToMatrix<D>(loop.measurement.covariance) * turn.transpose();
+  return Turned<D>(ToMatrix<D>(loop.measurement.covariance),
+                   loop.matched.pose.heading);
 }
 
 template <int D>

@@ -456,8 +456,11 @@ std::unique_ptr<DroppableSearch> Drive::SearchDroppable(
     std::optional<std::int64_t> latest_ns) const {
   RetentionNeeds needs = impl_->MakeRetentionNeeds();
   needs.loop_ends = LoopEnds();
-  for (std::size_t k = 1; k < impl_->recordings.size(); ++k) {
-    needs.recording_starts.push_back(impl_->recordings[k].first_node);
+  const Recordings& recordings = impl_->recordings;
+  for (std::size_t k = 0; k < recordings.size(); ++k) {
+    if (recordings.size() > 1 || recordings[k].start != nullptr) {
+      needs.recording_starts.push_back(recordings[k].first_node);
+    }
   }
   return std::make_unique<DroppableSearch>(
       impl_->graph, impl_->settings.retention, std::move(needs), latest_ns);
@@ -557,17 +560,13 @@ std::optional<Agreement> Drive::AgreementOf(
                          model, loop);
 }
 
-std::vector<ConfirmedLoop> Drive::LoopsUpTo(NodeIndex query) const {
+FrameRelations Drive::RelationsAt(NodeIndex query) const {
   std::vector<ConfirmedLoop> loops;
   for (const Impl::Confirmed& confirmed : impl_->confirmed) {
     const ConfirmedLoop& loop = confirmed.loop;
     if (std::max(loop.query, loop.matched) <= query) loops.push_back(loop);
   }
-  return loops;
-}
-
-FrameRelations Drive::RelationsAt(NodeIndex query) const {
-  return {impl_->Frames(), impl_->recordings, query, LoopsUpTo(query)};
+  return {impl_->Frames(), impl_->recordings, query, loops};
 }
 
 FrameRelations Drive::RelationsWithoutLoops(NodeIndex query) const {
@@ -669,19 +668,23 @@ bool Drive::LoadRest(absl::string_view bytes) {
   return true;
 }
 
-std::optional<ConfirmedLoop> Drive::LastConfirmed(NodeIndex query) const {
-  const std::size_t recording = impl_->recordings.Of(query);
+std::optional<ConfirmedLoop> Drive::LastConfirmed(NodeIndex query,
+                                                  std::size_t recording) const {
+  const Recordings& recordings = impl_->recordings;
+  const std::size_t of_query = recordings.Of(query);
+  const std::pair wanted(std::min(of_query, recording),
+                         std::max(of_query, recording));
   const ConfirmedLoop* last = nullptr;
   for (const Impl::Confirmed& confirmed : impl_->confirmed) {
     const ConfirmedLoop& loop = confirmed.loop;
     const NodeIndex later = std::max(loop.query, loop.matched);
-    if (later > query || !impl_->IsWithinRecording(loop) ||
-        impl_->recordings.Of(later) != recording) {
+    if (later > query ||
+        (last != nullptr && later < std::max(last->query, last->matched))) {
       continue;
     }
-    if (last == nullptr || later >= std::max(last->query, last->matched)) {
-      last = &loop;
-    }
+    const std::size_t a = recordings.Of(loop.query);
+    const std::size_t b = recordings.Of(loop.matched);
+    if (std::pair(std::min(a, b), std::max(a, b)) == wanted) last = &loop;
   }
   if (last == nullptr) return std::nullopt;
   return *last;

@@ -186,12 +186,10 @@ class Drive {
   // Counts the changes of settings under which marks show something else; above
   // 0.
   std::uint64_t mark_settings_version() const;
-  // The last confirmed loop whose nodes both lie at or before the query, in its
-  // recording.
-  std::optional<ConfirmedLoop> LastConfirmed(NodeIndex query) const;
-  // The confirmed loops whose nodes both lie at or before the query, in the
-  // order in which they were confirmed.
-  std::vector<ConfirmedLoop> LoopsUpTo(NodeIndex query) const;
+  // The last confirmed loop whose nodes both lie at or before the query, and of
+  // which one lies in the query's recording, the other in this one.
+  std::optional<ConfirmedLoop> LastConfirmed(NodeIndex query,
+                                             std::size_t recording) const;
   // How the frames of the recordings up to the query's lie to each other, by
   // the confirmed loops whose nodes both lie at or before it.
   FrameRelations RelationsAt(NodeIndex query) const;

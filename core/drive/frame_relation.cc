@@ -9,6 +9,7 @@
 #include "core/geometry/heading.h"
 #include "core/geometry/quadratic_form.h"
 #include "core/noise/chi_squared.h"
+#include "core/noise/dead_reckoning.h"
 #include "core/noise/similarity_model.h"
 
 namespace revisit::core {
@@ -22,65 +23,10 @@ constexpr double kAgreement = 0.99;
 // was passed, rad.
 constexpr double kLeastSureHeading = 0.8;
 
-// The states from the surest on: a chain of relations is no surer than its
-// least sure part.
-int Unsureness(FrameState state) {
-  switch (state) {
-    case FrameState::kSame:
-      return 0;
-    case FrameState::kKnown:
-      return 1;
-    case FrameState::kProvisional:
-      return 2;
-    case FrameState::kDatum:
-      return 3;
-    case FrameState::kAfter:
-      return 4;
-    case FrameState::kNone:
-      return 5;
-  }
-  return 5;
-}
-
-// A matrix of four coordinates as one of D, and back.
+// A matrix of four coordinates, which is symmetric, as one of D.
 template <int D>
 StateMatrix<D> Reduced(const StateMatrix<4>& matrix) {
-  StateMatrix<D> reduced;
-  for (int r = 0; r < D; ++r) {
-    for (int c = 0; c < D; ++c) {
-      reduced(r, c) = matrix(StateIndex<D>(r), StateIndex<D>(c));
-    }
-  }
-  return reduced;
-}
-
-template <int D>
-StateMatrix<4> Widened(const StateMatrix<D>& matrix) {
-  StateMatrix<4> widened = StateMatrix<4>::Zero();
-  for (int r = 0; r < D; ++r) {
-    for (int c = 0; c < D; ++c) {
-      widened(StateIndex<D>(r), StateIndex<D>(c)) = matrix(r, c);
-    }
-  }
-  return widened;
-}
-
-template <int D>
-StateMatrix<D> Symmetric(const StateMatrix<D>& m) {
-  return 0.5 * (m + m.transpose());
-}
-
-template <int D>
-StateMatrix<D> Turned(const StateMatrix<D>& m, double heading) {
-  const StateMatrix<D> turn = TurnAbout<D>(heading);
-  return turn * m * turn.transpose();
-}
-
-template <int D>
-StateMatrix<D> Swung(const StateMatrix<D>& m, const Pose& from,
-                     const Pose& to) {
-  const StateMatrix<D> lever = Lever<D>(from, to);
-  return lever * m * lever.transpose();
+  return ToMatrix<D>(ToCovariance<4>(matrix));
 }
 
 // S of a node; its rows and columns of z are 0 for PLANAR.
@@ -102,14 +48,6 @@ StateMatrix<4> ErrorSince(const PoseGraph& graph,
 
 }  // namespace
 
-template <int D>
-StateMatrix<D> Lever(const Pose& from, const Pose& to) {
-  StateMatrix<D> lever = StateMatrix<D>::Identity();
-  lever(0, D - 1) = -(to.y - from.y);
-  lever(1, D - 1) = to.x - from.x;
-  return lever;
-}
-
 FrameRelation Reversed(const FrameNodes& nodes, const FrameRelation& relation) {
   FrameRelation reversed = relation;
   if (!relation.is_tied()) return reversed;
@@ -130,9 +68,8 @@ FrameRelation Compose(const FrameNodes& nodes, const FrameRelation& to_v,
                       const FrameRelation& from_v) {
   FrameRelation composed;
   if (!to_v.is_tied() || !from_v.is_tied()) return composed;
-  composed.state = Unsureness(to_v.state) > Unsureness(from_v.state)
-                       ? to_v.state
-                       : from_v.state;
+  // A chain is no surer than its least sure part.
+  composed.state = std::max(to_v.state, from_v.state);
   const double turn = to_v.transform.heading;
   composed.transform = Compose(to_v.transform, from_v.transform);
   composed.place = from_v.place;
@@ -233,7 +170,7 @@ FrameRelation TiedAnew(const FrameNodes& nodes, const ConfirmedLoop& loop,
               Turned<D>(ToMatrix<D>(nodes.graph.covariance(loop.matched)),
                         tied.transform.heading));
   }
-  tied.fixed = Widened<D>(error);
+  tied.fixed = ToMatrix<4>(ToCovariance<D>(error));
   return tied;
 }
 
@@ -285,7 +222,7 @@ FrameRelation TiedIn(const FrameNodes& nodes, const FrameRelation& relation,
     tied.asking_node = loop.query;
     tied.other_node = loop.matched;
   }
-  tied.fixed = Widened<D>(Symmetric<D>(prior - gain * prior));
+  tied.fixed = ToMatrix<4>(ToCovariance<D>(Symmetric<D>(prior - gain * prior)));
   return tied;
 }
 
@@ -349,8 +286,6 @@ StateMatrix<D> FramePair<D>::Covariance(
 
 template class FramePair<3>;
 template class FramePair<4>;
-template StateMatrix<3> Lever<3>(const Pose&, const Pose&);
-template StateMatrix<4> Lever<4>(const Pose&, const Pose&);
 template StateMatrix<3> MeasuredFromQuery<3>(const MeasuredLoop&, const Pose&);
 template StateMatrix<4> MeasuredFromQuery<4>(const MeasuredLoop&, const Pose&);
 template std::optional<Innovation<3>> InnovationAcross<3>(const FrameNodes&,

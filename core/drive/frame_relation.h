@@ -85,12 +85,12 @@ FrameRelation Reversed(const FrameNodes& nodes, const FrameRelation& relation);
 FrameRelation Compose(const FrameNodes& nodes, const FrameRelation& to_v,
                       const FrameRelation& from_v);
 
-// What a loop closure between a node of u and a node of v, in this order,
-// leaves of a relation: Kalman's update of T x_m, and references at the loop's
-// own nodes. Where the two are not tied yet, the closure alone is the relation.
-// A closure that contradicts the relation (its innovation is beyond what one in
-// a hundred true ones has) replaces one that no closure has tied, and changes
-// nothing else. `drift_scale` multiplies standard deviations of drift.
+// The relation after a loop closure between a node of u and a node of v, in
+// this order: Kalman's update of T x_m, and references at the loop's own nodes.
+// Where the two are not tied yet, the closure alone is the relation. A closure
+// that contradicts the relation (its innovation is beyond what one in a hundred
+// true ones has) replaces one that no closure has tied, and changes nothing
+// else. `drift_scale` multiplies standard deviations of drift.
 FrameRelation TiedBy(const FrameNodes& nodes, const FrameRelation& relation,
                      const ConfirmedLoop& loop, double drift_scale);
 
@@ -148,10 +148,6 @@ class FramePair {
   Pose place_;
   NodeIndex reference_ = 0;
 };
-
-// L from one place to another.
-template <int D>
-StateMatrix<D> Lever(const Pose& from, const Pose& to);
 
 }  // namespace revisit::core
 

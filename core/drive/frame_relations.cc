@@ -9,6 +9,8 @@
 
 #include "core/geometry/frame_transform.h"
 #include "core/geometry/recording_start.h"
+#include "core/geometry/state_matrix.h"
+#include "core/noise/dead_reckoning.h"
 
 namespace revisit::core {
 namespace {
@@ -17,7 +19,7 @@ namespace {
 // another one, m: by so much the error of its heading counts.
 constexpr double kComparedAtMeters = 100.0;
 
-double Unsureness(const FrameRelation& relation) {
+double VarianceOf(const FrameRelation& relation) {
   const StateMatrix<4> p = relation.fixed + relation.drift;
   return p(0, 0) + p(1, 1) + p(2, 2) +
          kComparedAtMeters * kComparedAtMeters * p(3, 3);
@@ -73,11 +75,9 @@ void FrameRelations::AddStarts(const Recordings& recordings) {
     after.transform = Compose(start, Inverse(recording.end_before));
     after.place = nodes_.graph.pose(first - 1);
     // From the last pose, which is where the start is, to the last node.
-    const StateMatrix<4> lever =
-        Lever<4>(start, Compose(after.transform, after.place));
-    after.fixed = lever *
-                  InSpace(nodes_.state_space, recording.start->covariance) *
-                  lever.transpose();
+    after.fixed =
+        Swung<4>(InSpace(nodes_.state_space, recording.start->covariance),
+                 start, Compose(after.transform, after.place));
     if (nodes_.have_references()) {
       after.asking_node = first;
       after.other_node = first - 1;
@@ -95,10 +95,8 @@ void FrameRelations::AddDatum(const RecordingStart& start,
   shared.place = Compose(start.datum, nodes_.graph.pose(first_node));
   if (nodes_.have_references()) shared.asking_node = first_node;
   const StateMatrix<4> error = InSpace(nodes_.state_space, start.covariance);
-  const StateMatrix<4> turn = TurnAbout<4>(shared.transform.heading);
-  const StateMatrix<4> turned = turn * error * turn.transpose();
   if (start.datum_id.empty()) {
-    shared.fixed = turned;
+    shared.fixed = Turned<4>(error, shared.transform.heading);
     Add(recording, recordings_, shared);
     return;
   }
@@ -161,7 +159,7 @@ std::vector<FrameRelation> FrameRelations::From(std::size_t asking) const {
           frame == asking ? edge.relation
                           : Compose(nodes_, relations[frame], edge.relation);
       // Written so that NaN leads nowhere.
-      const double sure = Unsureness(relation);
+      const double sure = VarianceOf(relation);
       if (!(sure < unsure[edge.to])) continue;
       unsure[edge.to] = sure;
       relations[edge.to] = relation;

@@ -3,20 +3,20 @@
 
 namespace revisit::core {
 
-// How the frames of two recordings are tied to each other. States are numbered
-// from 0 without gaps.
+// How the frames of two recordings are tied to each other, the surest first.
+// States are numbered from 0 without gaps.
 enum class FrameState {
   // Both are one recording.
   kSame,
-  // The later one began where the earlier one ended, over one or more gaps.
-  kAfter,
+  // By at least kConsistentLinks confirmed loop closures that agree.
+  kKnown,
+  // By confirmed loop closures, fewer of which agree on some part of the way
+  // from the one to the other.
+  kProvisional,
   // Both were placed in one frame that they share.
   kDatum,
-  // By confirmed loop closures, fewer than kConsistentLinks of which agree on
-  // some part of the way from the one to the other.
-  kProvisional,
-  // By at least as many that agree.
-  kKnown,
+  // The later one began where the earlier one ended, over one or more gaps.
+  kAfter,
   // Nothing ties them.
   kNone,
 };

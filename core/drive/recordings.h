@@ -21,8 +21,8 @@ struct Recording {
   // Its first pose, and the node there.
   std::uint64_t first_sequence = 1;
   NodeIndex first_node = 0;
-  // What its first pose brought; null for the first recording of a drive that
-  // was not told of any.
+  // The start that its first pose brought; null for the first recording of a
+  // drive that was not told of any.
   std::shared_ptr<const RecordingStart> start;
   // The last pose of the recording before it, which lies behind that one's last
   // node; not used for the first recording.

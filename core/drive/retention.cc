@@ -209,7 +209,6 @@ class DroppableSearch::Impl {
     for (const NodeIndex start : needs_.recording_starts) {
       Keep(start - 1, start + 1);
     }
-    if (!needs_.recording_starts.empty()) Keep(0, 1);
     KeepLoopEnds(needs_.loop_ends);
   }
 

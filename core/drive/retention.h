@@ -67,7 +67,8 @@ struct RetentionNeeds {
   // nodes before it as a search aligns, and those within kPassRadiusMeters
   // behind it.
   std::vector<NodeIndex> loop_ends;
-  // The first nodes of recordings, but for the drive's first, in order.
+  // The first nodes of recordings, in order; none where there is one that
+  // nobody told of.
   std::vector<NodeIndex> recording_starts;
 };
 

@@ -67,6 +67,19 @@ StateMatrix<D> TurnAbout(double angle) {
   return turn;
 }
 
+// A covariance in axes that are turned by `angle` about z.
+template <int D>
+StateMatrix<D> Turned(const StateMatrix<D>& covariance, double angle) {
+  const StateMatrix<D> turn = TurnAbout<D>(angle);
+  return turn * covariance * turn.transpose();
+}
+
+// The symmetric part.
+template <int D>
+StateMatrix<D> Symmetric(const StateMatrix<D>& m) {
+  return 0.5 * (m + m.transpose());
+}
+
 // Reads the upper triangle. Entries of z are 0 if D is 3.
 template <int D>
 Covariance ToCovariance(const StateMatrix<D>& matrix) {

@@ -24,6 +24,15 @@ StateMatrix<D> DeadReckoningTransition(const Pose& earlier, const Pose& later) {
   return psi;
 }
 
+// A covariance that swings with its heading from the earlier pose to the later
+// one: Psi S Psi^T.
+template <int D>
+StateMatrix<D> Swung(const StateMatrix<D>& covariance, const Pose& earlier,
+                     const Pose& later) {
+  const StateMatrix<D> psi = DeadReckoningTransition<D>(earlier, later);
+  return psi * covariance * psi.transpose();
+}
+
 // Gamma in closed form. With h the index of heading and l the lever arm
 // J (p_later - p_earlier), which is 0 except in x and y, Psi is I + l e_h^T and
 //

@@ -135,10 +135,6 @@ class Search::Impl {
                                        const ShouldStop& should_stop);
   // Whether a mark shows the drift at the query.
   bool ShowsDrift(const MarkEvidence& mark, NodeIndex query) const;
-  // The last closure that ties the recordings of both, up to the query.
-  std::optional<ConfirmedLoop> LastConfirmedBetween(std::size_t a,
-                                                    std::size_t b,
-                                                    NodeIndex query) const;
   // The evidence of a mark at this node. `parts`: see SearchTask.
   absl::StatusOr<MarkEvidence> EvidenceAt(
       NodeIndex node, const ShouldStop& should_stop,
@@ -147,12 +143,12 @@ class Search::Impl {
   SearchTask MakeTask(NodeIndex query, const Extent& extent,
                       const SearchOptions& options, SearchPrior prior,
                       const ShouldStop& should_stop) const;
-  NodeIndex FirstOfRecording(NodeIndex node) const;
   // Whether a search with these options aligns the path that a mark there does.
   bool AlignsAsMarks(const SearchOptions& options) const;
   // Searches the mark at the query, if there is one that is not known. The
-  // parts are those of a search there.
-  void RememberIfMark(NodeIndex query, const ShouldStop& should_stop,
+  // histories and the parts are those of a search there.
+  void RememberIfMark(NodeIndex query, const std::vector<History>& histories,
+                      const ShouldStop& should_stop,
                       std::vector<AlignmentParts>* parts);
 
   const Drive& drive_;
@@ -235,7 +231,7 @@ absl::StatusOr<CandidateSet> Search::Impl::At(NodeIndex query,
   const absl::Status status = FindCandidates(task, &set);
   if (!status.ok()) return status;
   if (task.prior.belief && AlignsAsMarks(options)) {
-    RememberIfMark(query, should_stop, &parts);
+    RememberIfMark(query, task.histories, should_stop, &parts);
   }
   return set;
 }
@@ -376,16 +372,14 @@ bool Search::Impl::AlignsAsMarks(const SearchOptions& options) const {
 // The next search will need the mark, which now takes less. It takes frames as
 // no closure has tied them, so of other recordings it shares the path alone.
 void Search::Impl::RememberIfMark(NodeIndex query,
+                                  const std::vector<History>& histories,
                                   const ShouldStop& should_stop,
                                   std::vector<AlignmentParts>* parts) {
   const MarkLine line = Marks();
   const std::int64_t mark = line.LastBefore(query) + 1;
   if (mark < 1 || line.NodeOf(mark) != query || marks_.Find(mark)) return;
-  const bool has_own =
-      ExtentOf(query, MarkOptions(drive_.settings().search)).own.last >
-      FirstOfRecording(query);
-  for (std::size_t h = has_own ? 1 : 0; h < parts->size(); ++h) {
-    (*parts)[h].parts.reset();
+  for (std::size_t h = 0; h < histories.size(); ++h) {
+    if (!histories[h].relation.is_own()) (*parts)[h].parts.reset();
   }
   const absl::StatusOr<MarkEvidence> found =
       EvidenceAt(query, should_stop, parts);
@@ -398,13 +392,9 @@ void Search::Impl::RememberIfMark(NodeIndex query,
 bool Search::Impl::ShowsDrift(const MarkEvidence& mark, NodeIndex query) const {
   if (!mark.matched) return false;
   const Recordings& recordings = drive_.recordings();
-  const std::size_t recording = recordings.Of(query);
-  if (recordings.Of(mark.node) != recording) return false;
-  const std::size_t matched = recordings.Of(*mark.matched);
+  if (recordings.Of(mark.node) != recordings.Of(query)) return false;
   if (const auto closure =
-          matched == recording
-              ? drive_.LastConfirmed(query)
-              : LastConfirmedBetween(recording, matched, query)) {
+          drive_.LastConfirmed(query, recordings.Of(*mark.matched))) {
     if (mark.node <= std::max(closure->query, closure->matched)) return false;
   }
   const std::vector<NodeRange> not_sought = drive_.NotSought(
@@ -440,11 +430,6 @@ absl::StatusOr<MarkEvidence> Search::Impl::EvidenceAt(
                nullptr, &task);
   task.parts = parts;
   return SearchMark(task);
-}
-
-NodeIndex Search::Impl::FirstOfRecording(NodeIndex node) const {
-  const Recordings& recordings = drive_.recordings();
-  return recordings[recordings.Of(node)].first_node;
 }
 
 SearchTask Search::Impl::MakeTask(NodeIndex query, const Extent& extent,
@@ -510,24 +495,13 @@ const std::vector<char>* Search::Impl::GrowingBlocks(
   return &growing->second;
 }
 
-std::optional<ConfirmedLoop> Search::Impl::LastConfirmedBetween(
-    std::size_t a, std::size_t b, NodeIndex query) const {
-  std::optional<ConfirmedLoop> last;
-  const Recordings& recordings = drive_.recordings();
-  for (const ConfirmedLoop& loop : drive_.LoopsUpTo(query)) {
-    const std::size_t from = recordings.Of(loop.query);
-    const std::size_t to = recordings.Of(loop.matched);
-    if ((from == a && to == b) || (from == b && to == a)) last = loop;
-  }
-  return last;
-}
-
 absl::StatusOr<SearchPrior> Search::Impl::PriorAt(
     NodeIndex query, const SearchOptions& options,
     const ShouldStop& should_stop) {
   SearchPrior prior;
   prior.similarity = drive_.SimilarityOf(options);
-  prior.last_confirmed = drive_.LastConfirmed(query);
+  prior.last_confirmed =
+      drive_.LastConfirmed(query, drive_.recordings().Of(query));
   if (!BeginsWithBelief(options, drive_.settings())) return prior;
   absl::StatusOr<DriveBelief> belief = BeliefAt(query, should_stop);
   if (!belief.ok()) return belief.status();

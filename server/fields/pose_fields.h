@@ -43,9 +43,10 @@ struct RecordingStartFields {
   // Never null.
   const std::string* label = nullptr;
   Relation relation = Relation::kNone;
-  // Of kAfter, or of the datum, where that has one.
+  // The covariance of kAfter, or of the datum, where that has one.
   std::optional<CovarianceFields> covariance;
-  // Of kDatum: never null, and x, y, z in metres and the heading in radians.
+  // kDatum has both: the name, and x, y, z in metres and the heading in
+  // radians.
   const std::string* datum_id = nullptr;
   std::optional<std::array<double, 4>> datum_pose;
   // The value of kUnknown.

@@ -15,7 +15,7 @@ namespace revisit::server {
 inline constexpr std::size_t kMaxRecordingLabelBytes = 256;
 inline constexpr std::size_t kMaxDatumIdBytes = 128;
 
-// Which texts are judged: those that are stored already are not judged again.
+// Whether texts are judged: stored ones were, when they came.
 enum class TextCheck { kAll, kNone };
 
 // Null, with a violation for each defect, where there are any. Where it brings

@@ -53,11 +53,12 @@ class BatchEncoder {
 using RevisedPose =
     std::function<std::optional<PoseFields>(std::uint64_t sequence)>;
 
-// Which recordings begin with the poses of a revised batch.
+// How recordings begin with the poses of a revised batch.
 enum class RevisedStarts {
-  // Those that began with the stored poses.
+  // The same recordings begin as with the stored poses.
   kStay,
-  // That of the vehicle's first pose: all of the new ones are in one frame.
+  // The recording of the vehicle's first pose alone begins: all of the new
+  // poses are in one frame.
   kFirst,
 };
 

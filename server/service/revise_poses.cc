@@ -308,7 +308,7 @@ class Revision final : public ReadingCall<Revision> {
   v1::RevisePosesRequest request_;
   // Room for the message that is being drafted.
   Permit message_room_;
-  // What the first message says of the whole call.
+  // Terms of the whole call, which the first message brings.
   RevisionTerms terms_;
   // Number of the next pose in the whole call.
   std::size_t pose_number_ = 0;

@@ -20,7 +20,7 @@ namespace revisit::server {
 // ABORTED (REVISION_MISMATCH): the vehicle is not at the expected revision.
 absl::Status RevisionMismatch(const VehicleView& view, std::uint64_t expected);
 
-// What a revision asks for beside its poses.
+// Terms that a revision brings beside its poses.
 struct RevisionTerms {
   // If not 0, the revision that the vehicle has to have, unless the result of
   // the change is stored already: then the answer to an earlier call got lost.

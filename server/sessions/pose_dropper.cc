@@ -8,7 +8,6 @@
 
 #include "core/drive/node_range.h"
 #include "core/drive/pose_graph.h"
-#include "core/drive/recordings.h"
 #include "server/sessions/server_clock.h"
 #include "server/storage/storage.h"
 
@@ -163,12 +162,6 @@ void PoseDropper::FindRanges() {
   for (const auto& [id, closure] : vehicle_->pairs.loop_closures()) {
     work_->referred.push_back(closure.query_sequence);
     work_->referred.push_back(closure.matched_sequence);
-  }
-  // What began a recording is told by its first pose alone.
-  const core::Recordings& recordings = drive.recordings();
-  for (std::size_t k = 0; k < recordings.size(); ++k) {
-    if (recordings[k].start == nullptr) continue;
-    work_->referred.push_back(recordings[k].first_sequence);
   }
   std::sort(work_->referred.begin(), work_->referred.end());
 }

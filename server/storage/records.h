@@ -113,8 +113,8 @@ struct DeletedPairRecord {
   // Grows with each deletion of the vehicle, from 1 on. Given by the storage.
   std::uint64_t number = 0;
   PairKind kind = PairKind::kLoopClosure;
-  // As it was, with the payload that it has from then on. DATA_LOSS is its
-  // `damage` if the row is damaged: then only the number is set.
+  // The pair as it was, with the payload that it has from then on. DATA_LOSS is
+  // its `damage` if the row is damaged: then only the number is set.
   PosePairRecord pair;
   std::int64_t delete_time_ns = 0;  // Since the Unix epoch.
 };

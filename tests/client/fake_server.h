@@ -101,7 +101,7 @@ class FakeServer final : public v1::PoseGraphService::Service {
   // The answer of searches and checks, but for the query.
   void set_candidates(const v1::CandidateSet& candidates);
 
-  // What ListRecordings() lists, two on a page.
+  // ListRecordings() lists these, two on a page.
   void set_recordings(std::vector<v1::Recording> recordings);
 
   // The stored poses, serialized.

@@ -269,7 +269,7 @@ test('undone decisions are shown where somebody opens them, and kept up to date'
   revisitd.cli('rejections', 'delete', 'boreas', '2064', '300');
   await rows.first().getByText('mistaken').waitFor();
   assert.equal(deletions().length, count + 1);
-  // Those who close them ask no more.
+  // The console asks no more for decisions that were closed.
   await vehicle.locator('.undone summary').click();
   const before = asked.length;
   revisitd.cli('reject', 'boreas', '2064', '300');

@@ -29,7 +29,7 @@ inline WidePose WidePoseOf(const core::Pose& pose) {
   return {pose.x, pose.y, pose.z, pose.heading};
 }
 
-// What lies at `inner` in a frame that lies at `frame`.
+// The pose that lies at `inner` in a frame that lies at `frame`.
 inline WidePose Placed(const WidePose& frame, const WidePose& inner) {
   const Wide c = std::cos(frame.heading);
   const Wide s = std::sin(frame.heading);

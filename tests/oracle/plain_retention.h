@@ -116,7 +116,7 @@ class PlainRetention {
   bool MustStay(NodeIndex i) const {
     if (i >= graph_.size() - needs_.newest_nodes) return true;
     for (const NodeIndex start : needs_.recording_starts) {
-      if (i == 0 || i == start - 1 || i == start) return true;
+      if (i == start - 1 || i == start) return true;
     }
     return std::any_of(
         needs_.loop_ends.begin(), needs_.loop_ends.end(), [&](NodeIndex end) {

@@ -53,7 +53,7 @@ class BlockingWrites {
   absl::Status PutSnapshot(VehicleKey key, const SnapshotRecord& snapshot);
   absl::Status DropSnapshot(VehicleKey key);
   absl::Status Confirm(VehicleKey key);
-  // Of the pair, what is kept is its id.
+  // Deletes the pair and keeps a record of it that has its id alone.
   absl::Status DeletePair(VehicleKey key, PairKind kind, const std::string& id,
                           std::uint64_t revision);
   absl::Status DeletePair(VehicleKey key, const DeletedPairRecord& deleted,

@@ -199,39 +199,23 @@ class Converter {
       if (!text.empty()) progress_.Note(text);
     }
     claims_.emplace(uncertainty, file_);
-    using Kind = RecordingChoice::Kind;
     if (held_.front().geodetic.has_value() &&
-        options_.recording.kind != Kind::kByPoses &&
-        options_.recording.kind != Kind::kSame) {
-      return absl::InvalidArgumentError(absl::StrCat(
-          file_,
-          ": has geodetic positions, which are in one frame whatever was "
-          "recorded when: --recording goes with local ones"));
+        options_.recording.tells_of_frames()) {
+      return absl::InvalidArgumentError(
+          absl::StrCat(file_, ": has ", kGeodeticFrame));
     }
-    // As `stream` does it for a vehicle of this correlation model.
-    const bool is_carried =
-        uncertainty.source != UncertaintyOptions::Source::kFixes &&
-        (options_.correlation_model == v1::CORRELATION_MODEL_UNSPECIFIED ||
-         options_.correlation_model == v1::CORRELATION_MODEL_DEAD_RECKONING);
     starts_.emplace(options_.recording, options_.state_space,
-                    is_carried && !uncertainty.start_is_given);
+                    PosesTellOfFrames(options_.correlation_model, uncertainty));
     starts_->BeginFile(file_);
     return absl::OkStatus();
   }
 
   absl::Status Write(const Sample& sample) {
-    auto begun = starts_->Next(sample);
-    if (!begun.ok()) return begun.status();
-    if (begun->has_value()) {
-      claims_->BeginFrame();
-      if (!(*begun)->note.empty()) progress_.Note((*begun)->note);
-    }
-    const auto claim = claims_->Next(sample);
-    if (!claim.ok()) return claim.status();
-    v1::Pose pose = MakePose(sample, *claim, options_.state_space, ++poses_);
-    if (begun->has_value()) {
-      *pose.mutable_recording_start() = std::move((*begun)->start);
-    }
+    auto made = MakeNextPose(
+        sample, options_.state_space, ++poses_, &*starts_, &*claims_,
+        [this](const std::string& note) { progress_.Note(note); });
+    if (!made.ok()) return made.status();
+    v1::Pose pose = *std::move(made);
     // A filter that begins anew has no transition to tell.
     if (is_filter() && poses_ > 1 && !pose.has_recording_start()) {
       if (!sample.error_transition.has_value()) {

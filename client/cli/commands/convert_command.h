@@ -43,7 +43,7 @@ struct ConvertOptions {
   // error transitions.
   v1::StateSpace state_space = v1::STATE_SPACE_PLANAR;
   v1::CorrelationModel correlation_model = v1::CORRELATION_MODEL_DEAD_RECKONING;
-  // As StreamOptions.recording.
+  // Where recordings begin, as StreamOptions.recording has it.
   RecordingChoice recording;
   ConvertFormat format = ConvertFormat::kCsv;
   // The poses go to the terminal if this is empty.

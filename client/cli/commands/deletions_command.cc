@@ -2,6 +2,7 @@
 
 #include <memory>
 #include <utility>
+#include <vector>
 
 #include "absl/status/statusor.h"
 #include "absl/strings/str_cat.h"
@@ -18,26 +19,19 @@ using google::protobuf::util::TimeUtil;
 using Deletions = v1::ListDeletedPosePairsResponse;
 using DeletionsRequest = v1::ListDeletedPosePairsRequest;
 
-absl::StatusOr<Deletions> ListAllDeletions(const Client& client,
-                                           const std::string& vehicle) {
-  Deletions all;
+absl::StatusOr<std::vector<v1::DeletedPosePair>> ListAllDeletions(
+    const Client& client, const std::string& vehicle) {
   DeletionsRequest request;
   request.set_parent(VehicleName(vehicle));
   request.set_page_size(500);
-  const absl::Status status = VisitPages(
+  return ReadPages(
       request,
       [&](const DeletionsRequest& asked) {
         return client.ListDeletedPosePairs(asked);
       },
       [](const Deletions& page) -> const auto& {
         return page.deleted_pose_pairs();
-      },
-      [&](const Deletions& page) -> absl::StatusOr<bool> {
-        all.mutable_deleted_pose_pairs()->MergeFrom(page.deleted_pose_pairs());
-        return true;
       });
-  if (!status.ok()) return status;
-  return all;
 }
 
 std::string OrDash(const std::string& text) {
@@ -56,7 +50,8 @@ std::vector<std::string> CellsOf(const char* decision, const Pair& pair) {
           absl::StrReplaceAll(pair.note(), {{"\n", " "}, {"\t", " "}})};
 }
 
-void PrintDeletions(const Deletions& all, const Terminal& terminal) {
+void PrintDeletions(const std::vector<v1::DeletedPosePair>& all,
+                    const Terminal& terminal) {
   using Align = Table::Align;
   // The note is last, since it is as long as whoever wrote it wanted.
   Table table({{"DELETED", Align::kLeft},
@@ -67,7 +62,7 @@ void PrintDeletions(const Deletions& all, const Terminal& terminal) {
                {"CREATED", Align::kLeft},
                {"DECIDED_BY", Align::kLeft},
                {"NOTE", Align::kLeft}});
-  for (const v1::DeletedPosePair& deleted : all.deleted_pose_pairs()) {
+  for (const v1::DeletedPosePair& deleted : all) {
     std::vector<std::string> row = {TimeUtil::ToString(deleted.delete_time()),
                                     OrDash(deleted.deleted_by())};
     for (std::string& cell :
@@ -101,12 +96,14 @@ void AddDeletionsCommand(const Command& program) {
 
 absl::Status RunDeletionsList(const Client& client, const std::string& vehicle,
                               const Terminal& terminal) {
-  const absl::StatusOr<Deletions> all = ListAllDeletions(client, vehicle);
+  const auto all = ListAllDeletions(client, vehicle);
   if (!all.ok()) return all.status();
   if (terminal.json()) {
-    terminal.out << ToJson(*all, true) << '\n';
+    Deletions response;
+    response.mutable_deleted_pose_pairs()->Assign(all->begin(), all->end());
+    terminal.out << ToJson(response, true) << '\n';
   } else if (terminal.names()) {
-    for (const v1::DeletedPosePair& deleted : all->deleted_pose_pairs()) {
+    for (const v1::DeletedPosePair& deleted : *all) {
       terminal.out << Printable(deleted.name()) << '\n';
     }
   } else {

@@ -10,8 +10,8 @@ namespace revisit::client {
 
 void AddReaderFlags(const Command& command, ReaderOptions* options);
 
-// What is known of the frames of recordings, of which each file but the first
-// begins one.
+// --recording, which says how the frames of recordings lie that each file but
+// the first begins.
 void AddRecording(const Command& command, RecordingChoice* choice);
 
 // The same flags for the truth of a drive, such as --truth-axes.

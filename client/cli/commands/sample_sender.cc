@@ -195,11 +195,8 @@ absl::Status SampleSender::CheckThatSamplesFit(const Sample& first) const {
         " holds latitude and longitude; --frame local makes them metres east "
         "and north of the first one"));
   }
-  if (geodetic && options_.recording.kind != RecordingChoice::Kind::kByPoses &&
-      options_.recording.kind != RecordingChoice::Kind::kSame) {
-    return unfit(
-        "takes geodetic positions, which are in one frame whatever was "
-        "recorded when: --recording goes with local ones");
+  if (geodetic && options_.recording.tells_of_frames()) {
+    return unfit(absl::StrCat("takes ", kGeodeticFrame));
   }
   if (IsFilter(vehicle_) &&
       (!first.error_transition.has_value() ||
@@ -244,14 +241,9 @@ void SampleSender::ChooseUncertainty() {
   UncertaintyOptions uncertainty = options_.uncertainty;
   uncertainty.source = source_;
   claims_.emplace(uncertainty, file_);
-  // Other errors are not carried on along the drive, and where the start's are
-  // given, they are those in the frame of the recordings before.
-  const v1::CorrelationModel model = vehicle_.settings().correlation_model();
-  const bool is_carried = (model == v1::CORRELATION_MODEL_UNSPECIFIED ||
-                           model == v1::CORRELATION_MODEL_DEAD_RECKONING) &&
-                          source_ != UncertaintyOptions::Source::kFixes;
-  starts_.emplace(options_.recording, vehicle_.settings().state_space(),
-                  is_carried && !uncertainty.start_is_given);
+  starts_.emplace(
+      options_.recording, vehicle_.settings().state_space(),
+      PosesTellOfFrames(vehicle_.settings().correlation_model(), uncertainty));
   starts_->BeginFile(file_);
   if (uncertainty.source == UncertaintyOptions::Source::kFixes &&
       vehicle_.settings().correlation_model() ==
@@ -289,7 +281,7 @@ absl::Status SampleSender::KeepSession() {
   return Client(channel_).UpdateVehicle(request).status();
 }
 
-// What goes on in the same frame begins as uncertain as the last pose is.
+// Poses that go on in the same frame begin as uncertain as the last one is.
 absl::Status SampleSender::ContinueBehindStored() {
   if (!options_.append || already_durable_ == 0) return absl::OkStatus();
   v1::ListPosesRequest request;
@@ -350,28 +342,12 @@ absl::Status SampleSender::Open() {
   return ContinueBehindStored();
 }
 
-absl::StatusOr<v1::Pose> SampleSender::MakePoseOf(const Sample& sample,
-                                                  std::uint64_t sequence) {
-  auto begun = starts_->Next(sample);
-  if (!begun.ok()) return begun.status();
-  if (begun->has_value()) {
-    claims_->BeginFrame();
-    if (!(*begun)->note.empty()) progress_.Note((*begun)->note);
-  }
-  const auto claim = claims_->Next(sample);
-  if (!claim.ok()) return claim.status();
-  v1::Pose pose =
-      MakePose(sample, *claim, vehicle_.settings().state_space(), sequence);
-  if (begun->has_value()) {
-    *pose.mutable_recording_start() = std::move((*begun)->start);
-  }
-  return pose;
-}
-
 void SampleSender::Send(const Sample& sample) {
   if (!status_.ok()) return;
   const std::uint64_t sequence = base_ + ++sent_;
-  auto made = MakePoseOf(sample, sequence);
+  auto made = MakeNextPose(
+      sample, vehicle_.settings().state_space(), sequence, &*starts_, &*claims_,
+      [this](const std::string& note) { progress_.Note(note); });
   if (!made.ok()) {
     status_ = LocalError(made.status());
     return;

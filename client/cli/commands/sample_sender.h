@@ -79,9 +79,6 @@ class SampleSender {
   void ChooseUncertainty();
   // Begins behind the poses that are stored.
   absl::Status ContinueBehindStored();
-  // The next pose, with all that it brings.
-  absl::StatusOr<v1::Pose> MakePoseOf(const Sample& sample,
-                                      std::uint64_t sequence);
   // FAILED_PRECONDITION if other poses have the session's name.
   absl::Status CheckThatSessionIsFree() const;
   void Send(const Sample& sample);

@@ -202,7 +202,7 @@ class _Restarts:
                    for place, heading in places):
             return False
         was, now = last.covariance, row.covariance
-        # Of x and y, and of the turn about z.
+        # Positions vary in x and y, headings about z.
         variance_was, variance_now = was[0] + was[7], now[0] + now[7]
         turn_was, turn_now = was[35], now[35]
         if step >= _LEAP_METERS and step >= _USUAL_STEPS * self._last_step:

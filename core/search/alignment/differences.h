@@ -58,8 +58,8 @@ class Differences {
   };
 
   void MakeTied(const FramePair<D>& pair, bool is_before, Tied* tied) const;
-  // Those of the nodes [first, first + count) of the graph, or of as many with
-  // these indices.
+  // Finds the differences of the nodes [first, first + count) of the graph, or
+  // of as many with these indices.
   void FindTied(const NodeBlock& nodes, const NodeBlock& next, NodeIndex first,
                 const BlockColumn* indices, std::size_t count,
                 DifferenceBlock* differences) const;

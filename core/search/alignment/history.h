@@ -32,7 +32,7 @@ struct History {
   Relation relation = {};
   // A recording begins there, so that no road leads farther back.
   NodeIndex first = 0;
-  // Which of the drive's recordings it is of.
+  // Index of its recording in the drive.
   std::size_t recording = 0;
   // For another recording, in which errors count from a reference: whether they
   // grow from each node of a block to it, or from it to each node

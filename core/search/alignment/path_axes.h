@@ -44,7 +44,7 @@ class PathAxes {
     return turn_ * shift;
   }
 
-  // What paths can change of one end, and of any of its neighbours
+  // How much paths can change one end, and any of its neighbours
   // (SearchBounds).
   const ChangeBound& of_end() const { return of_end_; }
   const ChangeBound& of_ends_around() const { return of_ends_around_; }

@@ -83,11 +83,11 @@ struct FrameWay {
 // Immutable. Copies share what they hold.
 class Relation {
  public:
-  // That of a recording to its own past.
+  // The relation of a recording to its own past.
   Relation() = default;
-  // That to another recording. `drifts` are the ways that marks have shown, in
-  // falling order of their marks; their weights sum to less than 1. What
-  // `nodes` refers to outlives this.
+  // The relation to another recording. `drifts` are the ways that marks have
+  // shown, in falling order of their marks; their weights sum to less than 1.
+  // What `nodes` refers to outlives this.
   Relation(const FrameNodes& nodes, const FrameRelation& tie,
            std::vector<WeighedDrift> drifts);
 

@@ -10,6 +10,7 @@
 #include "core/geometry/heading.h"
 #include "core/geometry/quadratic_form.h"
 #include "core/geometry/state_matrix.h"
+#include "core/noise/dead_reckoning.h"
 #include "core/noise/similarity_model.h"
 #include "core/search/alignment/log_similarity.h"
 
@@ -285,14 +286,14 @@ void SearchBounds<D>::AddTiedRegions(double position_variance,
     const FramePair<D> pair(relation.nodes(), relation.tie(), query_.node,
                             model_.similarity.inflation * scale.scale,
                             way.fixed_scale);
-    const StateMatrix<D> lever = Lever<D>(pair.place(), pair.query());
     const std::size_t reference =
         std::clamp(BlocksOf(pair.reference()), regions->first, regions->last);
     const auto add_part = [&](bool is_before, std::size_t first,
                               std::size_t last) {
       if (first == last) return;
       const StateMatrix<D> own =
-          pair.own() + lever * pair.swung(is_before) * lever.transpose();
+          pair.own() +
+          Swung<D>(pair.swung(is_before), pair.place(), pair.query());
       Region region = RegionOf(
           {own(0, 0), own(0, 1), own(1, 1), pair.node_scale(is_before)},
           scale.log_weight + way.log_weight, parts, position_variance,

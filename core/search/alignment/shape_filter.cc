@@ -48,11 +48,6 @@ StateMatrix<D> Inverse(const StateMatrix<D>& m) {
   return product;
 }
 
-template <int D>
-StateMatrix<D> Symmetric(const StateMatrix<D>& m) {
-  return 0.5 * (m + m.transpose());
-}
-
 // Adds the noise of the steps of two passes, from node to node.
 template <int D>
 void AddStepNoise(const PlaceTolerance& per_root_meter, double spacing_meters,

@@ -49,12 +49,10 @@ GatedDifference DecideAcross(const Query& query, const History& history,
   const FramePair<D> pair(history.relation.nodes(), tie, query.node,
                           model.inflation, fixed_scale);
   const Pose pose = history.graph.pose(matched);
-  const StateMatrix<D> turn = TurnAbout<D>(tie.transform.heading);
   const StateMatrix<D> gamma =
-      turn *
-      pair.Covariance(matched, pose,
-                      ToMatrix<D>(history.graph.covariance(matched))) *
-      turn.transpose();
+      Turned<D>(pair.Covariance(matched, pose,
+                                ToMatrix<D>(history.graph.covariance(matched))),
+                tie.transform.heading);
   StateMatrix<D> tolerated = gamma;
   AddTolerance<D>(model.tolerance, &tolerated);
   return DecideOn<D>(PassDifference(model, query.graph.pose(query.node),

@@ -47,7 +47,7 @@ class Rivals::Passes {
   const std::vector<History>& histories_;
   const FrameRelations* const frames_;
   const RelativeModel& model_;
-  // Of a recording to all others, once it was asked for.
+  // The relations of a recording to all others, once they were asked for.
   std::map<std::size_t, std::vector<FrameRelation>> relations_;
 };
 

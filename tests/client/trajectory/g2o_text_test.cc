@@ -406,7 +406,7 @@ TEST(G2oText, RecordingsWithDatumsAreJoinedFromStartToStart) {
   EXPECT_THAT(edges[1],
               Pointwise(DoubleNear(1e-9), {1.0, 3.0, 0.0, 0.0, 0.5 * kPi, 0.5,
                                            0.0, 0.0, 0.5, 0.0, 1.0}));
-  // Of one datum, the error of the poses alone is left.
+  // Two recordings of one datum differ by the error of the poses alone.
   datum->set_datum_id("map");
   second.sequence = 2;
   second.recording_start->mutable_datum()->set_datum_id("map");

@@ -98,7 +98,7 @@ class RecordingStartsTest : public ::testing::Test {
                     v1::STATE_SPACE_PLANAR, looks_at_poses);
   }
 
-  // What begins with the next sample.
+  // The recording that begins with the next sample; null if none does.
   std::optional<RecordingStarts::Begun> Next(const Sample& sample) {
     auto begun = starts_->Next(sample);
     EXPECT_TRUE(begun.ok()) << begun.status();

@@ -121,7 +121,8 @@ StateMatrix<3> ErrorByWalking(const PoseGraph& graph, NodeIndex reference,
     // The noise is an error of the pose at `later` as seen from `earlier`; it
     // moves all on the far side as one rigid body, the near side of which, for
     // a walk back, is what moves the other way.
-    const StateMatrix<3> lever = Lever<3>(graph.pose(later), graph.pose(i));
+    const StateMatrix<3> lever =
+        DeadReckoningTransition<3>(graph.pose(later), graph.pose(i));
     sum += lever * noise * lever.transpose();
   }
   return sum;
@@ -146,7 +147,7 @@ TEST(FrameRelationTest, GammaIsThatOfAllThatErrsBetweenTheTwoNodes) {
     const StateMatrix<3> turn = TurnAbout<3>(relation.transform.heading);
     const Pose at = Compose(relation.transform, graph.pose(j));
     const Pose place = Compose(relation.transform, relation.place);
-    const StateMatrix<3> lever = Lever<3>(place, at);
+    const StateMatrix<3> lever = DeadReckoningTransition<3>(place, at);
     StateMatrix<3> fixed;
     fixed << relation.fixed(0, 0), relation.fixed(0, 1), relation.fixed(0, 3),
         relation.fixed(1, 0), relation.fixed(1, 1), relation.fixed(1, 3),
@@ -215,8 +216,8 @@ TEST(FrameRelationTest, AChainHasTheErrorsOfItsPartsAndOfWhatLiesBetween) {
     const StateMatrix<3> turn = TurnAbout<3>(to_v.transform.heading);
     const Pose through = Compose(to_v.transform, to_v.place);
     const Pose out = Compose(to_v.transform, graph.pose(*from_v.asking_node));
-    const StateMatrix<3> first = Lever<3>(through, at);
-    const StateMatrix<3> between = Lever<3>(out, at);
+    const StateMatrix<3> first = DeadReckoningTransition<3>(through, at);
+    const StateMatrix<3> between = DeadReckoningTransition<3>(out, at);
     const StateMatrix<3> fixed =
         first * reduced(to_v.fixed) * first.transpose() +
         turn * reduced(from_v.fixed) * turn.transpose();
@@ -279,8 +280,8 @@ TEST(FrameRelationTest, AFurtherClosureIsWeighedAgainstWhatWasKnown) {
   relation.place = graph.pose(m);
   relation.asking_node = c;
   relation.other_node = m;
-  // As sure as the closure, which says that the two are 2 m closer to each
-  // other in x.
+  // The relation is as sure as the closure, which says that the two are 2 m
+  // closer to each other in x.
   StateMatrix<3> p = StateMatrix<3>::Zero();
   p.diagonal() << 25.0, 25.0, 0.0225;
   relation.fixed = Wide(p);

@@ -314,7 +314,7 @@ std::vector<NodeRange> InParts(std::mt19937_64& random, const PoseGraph& graph,
 TEST(RetentionTest, PassesAreCountedWithinARecordingWhoseEndsStay) {
   const Laps laps = Laps().Drive(10);
   RetentionNeeds needs = Needs();
-  needs.recording_starts = {5 * kLap};
+  needs.recording_starts = {0, 5 * kLap};
   EXPECT_EQ(Text(FindDroppable(laps.graph, Passes(3), needs)),
             "[1, " + std::to_string(FirstOfLap(2)) + ") [" +
                 std::to_string(5 * kLap + 1) + ", " +
@@ -347,7 +347,7 @@ TEST(RetentionTest, IsThatOfThePlainComparisonOfAllNodes) {
     }
     for (int k = UniformInt(random, -1, 3); k-- > 0;) {
       needs.recording_starts.push_back(
-          UniformInt(random, 1, static_cast<int>(graph.size()) - 1));
+          UniformInt(random, 0, static_cast<int>(graph.size()) - 1));
     }
     std::sort(needs.recording_starts.begin(), needs.recording_starts.end());
     RetentionOptions options;

@@ -96,7 +96,7 @@ TEST_F(VehicleSessionTest, RefusesABatchThatWouldBeginTooManyRecordings) {
   EXPECT_EQ(StartsOf(*session_).size(), kMost);
   EXPECT_THAT(AppendNow(*session_, Recordings(kMost + 1, 1)),
               IsError(StatusCode::kFailedPrecondition, "RECORDING_LIMIT", _));
-  // Those that are stored already are no new ones, and poses go on.
+  // Recordings that are stored already are no new ones, and poses go on.
   EXPECT_THAT(AppendNow(*session_, Recordings(kMost - 1, 2)), IsOk());
   EXPECT_THAT(
       AppendNow(*session_, Recordings(kMost, 1) + StraightBatch(kMost + 1, 1)),

@@ -444,7 +444,9 @@ TEST_P(StorageContract, KeepsDeletedPairsAsLongAsTheirVehicle) {
 }
 
 TEST_P(StorageContract, KeepsTheLast1000DeletedPairs) {
-  if (!GetParam().keeps_deleted_pairs) GTEST_SKIP() << "it keeps none";
+  if (!GetParam().keeps_deleted_pairs) {
+    GTEST_SKIP() << "the version before has no table for deleted pairs";
+  }
   const VehicleKey key = *write().Create("truck");
   const Answer<absl::Status> last;
   for (std::uint64_t i = 1; i <= kMostDeletedPairs + 2; ++i) {

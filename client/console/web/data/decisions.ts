@@ -187,7 +187,8 @@ export class DecisionBook {
           pageToken => service.listDeletedPosePairs(
               {parent, pageToken, pageSize: UNDONE_PAGE_SIZE}),
           page => page.deletedPosePairs);
-      // What was undone here meanwhile is read once that is done.
+      // `all` may be from before what was decided here meanwhile: run() reads
+      // the list again after that.
       if (changes !== this.changes) return;
       this.undone.value = all.map(asUndone);
       this.undoneError.value = undefined;

@@ -17,7 +17,7 @@ import {place, type PlacedRecording, recordingOf, tiesOf} from
     './recordings.js';
 
 const POLL_MILLISECONDS = 1000;
-/** As many as a vehicle may have, so that one call tells of all. */
+/** A vehicle may have as many recordings, so that one call tells of all. */
 const MOST_RECORDINGS = 1000;
 
 /** Searches at most so many poses, until somebody asks for more. */

@@ -9,7 +9,7 @@ export type Colour =
     'uninformative'|'ill-conditioned'|'matched-path'|'query-path'|'text'|
     'background'|'grid'|'threshold'|'scale'|RecordingColour;
 
-/** Those of recordings that are not a vehicle's last one. */
+/** Colours of the recordings before a vehicle's last one. */
 export const RECORDING_COLOURS = ['recording-1', 'recording-2', 'recording-3',
                                   'recording-4'] as const;
 type RecordingColour = typeof RECORDING_COLOURS[number];

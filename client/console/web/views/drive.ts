@@ -157,7 +157,8 @@ export function stretchShapes(
     const centre = matched!.travelledMeters;
     const first = nodeAtDistance(graph, centre - placeInterval.metersBefore);
     const end = nodeAtDistance(graph, centre + placeInterval.metersAfter);
-    // As far along the path there may be the end of the recording before, too.
+    // The interval keeps to the match's recording, because nodes of the one
+    // before it or after it may be as far along the path.
     const {from, to} = recordingOf(recordings, Number(matched!.index)) ??
         {from: 0, to: graph.size - 1};
     for (let i = Math.max(first, from); i < Math.min(end, to, cut); ++i) {

@@ -92,11 +92,15 @@ function columnsFor(store: VehicleStore, at: number): Array<Column<Found>> {
   ];
 }
 
-function decisionColumns(store: VehicleStore): Array<Column<Decision>> {
+/** The columns of decisions, which are named after `once` where they no longer
+ * hold, with `more` before their notes. */
+function decisionColumns<Shown extends Decision>(
+    store: VehicleStore, once = '',
+    more: Array<Column<Shown>> = []): Array<Column<Shown>> {
   return [
     {title: 'Pose', number: true, by: ({query}) => query, cell: decision => (
       <a href={store.addressOf(decision)}
-         aria-label={`${decision.kind} ${pairName(decision)}`}>
+         aria-label={`${once}${decision.kind} ${pairName(decision)}`}>
         {count(decision.query)}
       </a>)},
     {title: 'Match', number: true, by: ({matched}) => matched,
@@ -104,28 +108,18 @@ function decisionColumns(store: VehicleStore): Array<Column<Decision>> {
     {title: 'Decision', by: ({kind}) => kind, cell: ({kind}) => kind},
     {title: 'When', by: ({time}) => time, cell: ({time}) => instant(time)},
     {title: 'By', by: ({by}) => by, cell: ({by}) => by},
+    ...more,
     {title: 'Note', by: ({note}) => note, cell: ({note}) => note},
   ];
 }
 
 function undoneColumns(store: VehicleStore): Array<Column<Undone>> {
-  return [
-    {title: 'Pose', number: true, by: ({query}) => query, cell: undone => (
-      <a href={store.addressOf(undone)}
-         aria-label={`once ${undone.kind} ${pairName(undone)}`}>
-        {count(undone.query)}
-      </a>)},
-    {title: 'Match', number: true, by: ({matched}) => matched,
-     cell: ({matched}) => count(matched)},
-    {title: 'Decision', by: ({kind}) => kind, cell: ({kind}) => kind},
-    {title: 'When', by: ({time}) => time, cell: ({time}) => instant(time)},
-    {title: 'By', by: ({by}) => by, cell: ({by}) => by},
+  return decisionColumns<Undone>(store, 'once ', [
     {title: 'Undone', by: ({undoneTime}) => undoneTime,
      cell: ({undoneTime}) => instant(undoneTime)},
     {title: 'Undone by', by: ({undoneBy}) => undoneBy,
      cell: ({undoneBy}) => undoneBy},
-    {title: 'Note', by: ({note}) => note, cell: ({note}) => note},
-  ];
+  ]);
 }
 
 /** The decisions that were undone: they are read only where somebody opens

@@ -189,7 +189,7 @@ TEST_F(RecordingsCommandTest, FilesInOneFrameAreToldToBe) {
   EXPECT_THAT(Begun(), ElementsAre());
   EXPECT_THAT(out_.str(), Not(HasSubstr("recordings begun")));
   server_.Forget(0);
-  // As uncertain in that frame as the flag says.
+  // A given start makes it as uncertain in that frame as the flag says.
   StreamOptions options = Stream(files, "");
   options.uncertainty.start_is_given = true;
   options.uncertainty.start_position = 5.0;
