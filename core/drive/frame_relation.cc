@@ -125,7 +125,7 @@ struct SeenFromQuery {
 template <int D>
 SeenFromQuery<D> SeeFromQuery(const FrameNodes& nodes,
                               const FrameRelation& relation,
-                              const ConfirmedLoop& loop) {
+                              const ConfirmedLoop& loop, double drift_scale) {
   SeenFromQuery<D> seen;
   if (loop.measured) {
     seen.pose = Compose(loop.measured->query.pose,
@@ -136,7 +136,8 @@ SeenFromQuery<D> SeeFromQuery(const FrameNodes& nodes,
   seen.pose = nodes.graph.pose(loop.query);
   AddTolerance<D>(kConfirmedTolerance, &seen.covariance);
   if (!relation.is_tied()) return seen;
-  const double sure = relation.fixed(3, 3) + relation.drift(3, 3);
+  const double sure =
+      relation.fixed(3, 3) + drift_scale * drift_scale * relation.drift(3, 3);
   const double turn = seen.pose.heading - relation.transform.heading -
                       nodes.graph.pose(loop.matched).heading;
   if (sure < kLeastSureHeading * kLeastSureHeading &&
@@ -177,7 +178,8 @@ FrameRelation TiedAnew(const FrameNodes& nodes, const ConfirmedLoop& loop,
 template <int D>
 FrameRelation TiedIn(const FrameNodes& nodes, const FrameRelation& relation,
                      const ConfirmedLoop& loop, double drift_scale) {
-  const SeenFromQuery<D> seen = SeeFromQuery<D>(nodes, relation, loop);
+  const SeenFromQuery<D> seen =
+      SeeFromQuery<D>(nodes, relation, loop, drift_scale);
   if (!relation.is_tied()) return TiedAnew<D>(nodes, loop, seen, drift_scale);
   const Pose matched = MatchedPose(nodes, loop);
   const Pose placed = Compose(relation.transform, matched);
@@ -242,7 +244,8 @@ std::optional<Innovation<D>> InnovationAcross(const FrameNodes& nodes,
                                               double drift_scale) {
   assert(loop.measured != nullptr);
   if (!relation.is_tied()) return std::nullopt;
-  const SeenFromQuery<D> seen = SeeFromQuery<D>(nodes, relation, loop);
+  const SeenFromQuery<D> seen =
+      SeeFromQuery<D>(nodes, relation, loop, drift_scale);
   Innovation<D> innovation;
   innovation.difference = ToVector<D>(Difference(
       seen.pose, Compose(relation.transform, MatchedPose(nodes, loop))));

@@ -295,6 +295,36 @@ TEST(FrameRelationTest, AFurtherClosureIsWeighedAgainstWhatWasKnown) {
   EXPECT_EQ(tied.drift.norm(), 0.0);
 }
 
+TEST(FrameRelationTest,
+     APassTheOtherWayIsKnownOnlyWhereTheScaledHeadingIsSure) {
+  std::mt19937_64 random = SeededRandom();
+  const Chains chains(random, 2);
+  const PoseGraph& graph = chains.graph();
+  const NodeIndex c = Chains::NodeOf(1, 3);
+  const NodeIndex m = Chains::NodeOf(0, 2);
+  FrameRelation relation;
+  relation.state = FrameState::kAfter;
+  relation.place = graph.pose(m);
+  relation.asking_node = c;
+  relation.other_node = m;
+  StateMatrix<3> p = StateMatrix<3>::Zero();
+  p.diagonal() << 1.0, 1.0, 0.1;
+  relation.fixed = Wide(p);
+  relation.drift = Wide(p);
+  // As the relation has it, the two poses look in opposite directions.
+  Pose matched = graph.pose(c);
+  matched.heading = WrapHeading(matched.heading + kPi);
+  relation.transform = Compose(matched, Inverse(graph.pose(m)));
+  const auto heading_off = [&](double drift_scale) {
+    const Pose placed =
+        Compose(TiedBy(chains.nodes(), relation, {c, m}, drift_scale).transform,
+                graph.pose(m));
+    return std::abs(WrapHeading(placed.heading - matched.heading));
+  };
+  EXPECT_NEAR(heading_off(1.0), 0.0, 1e-9);
+  EXPECT_GT(heading_off(3.0), 0.5 * kPi);
+}
+
 TEST(FrameRelationTest, AClosureThatContradictsADatumReplacesIt) {
   std::mt19937_64 random = SeededRandom();
   const Chains chains(random, 2);
