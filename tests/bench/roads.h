@@ -8,13 +8,16 @@
 #include <cmath>
 #include <cstdint>
 #include <map>
+#include <memory>
 #include <optional>
 #include <random>
 #include <vector>
 
 #include "core/drive/pose_graph.h"
+#include "core/geometry/frame_transform.h"
 #include "core/geometry/heading.h"
 #include "core/geometry/pose.h"
+#include "core/geometry/recording_start.h"
 #include "tests/oracle/dead_reckoning.h"
 #include "tests/random.h"
 
@@ -110,24 +113,61 @@ inline std::vector<core::Pose> TownDrive(std::mt19937_64& random,
   return smooth;
 }
 
-// The estimated drive, with the covariance of its dead reckoning.
-inline core::PoseGraph MakeRoads(core::NodeIndex nodes) {
+// The estimated drive, with the covariance of its dead reckoning, in so many
+// recordings of about as many poses. Where there are several, each has a frame
+// that begins where the vehicle is, and a datum of 10 m and 1 degree.
+inline std::vector<core::PoseSample> RecordRoads(core::NodeIndex nodes,
+                                                 core::NodeIndex recordings) {
+  constexpr double kDatumMeters = 10.0;
+  constexpr double kDatumRadians = core::kPi / 180.0;
   std::mt19937_64 random(20101015);
   const std::vector<core::Pose> truth = TownDrive(random, nodes);
   const oracle::Noise noise;
-  const std::vector<core::Pose> estimate =
-      oracle::DrawEstimate(truth, noise, random);
+  std::vector<core::PoseSample> all;
+  for (core::NodeIndex k = 0; k < recordings; ++k) {
+    std::vector<core::Pose> part(truth.begin() + nodes * k / recordings,
+                                 truth.begin() + nodes * (k + 1) / recordings);
+    const core::Pose start = part.front();
+    if (recordings > 1) {
+      for (core::Pose& pose : part) {
+        pose = core::Compose(core::Inverse(start), pose);
+      }
+    }
+    for (core::PoseSample& sample : oracle::WithCovariances(
+             oracle::DrawEstimate(part, noise, random), noise)) {
+      sample.sequence = all.size() + 1;
+      sample.pose.heading = core::WrapHeading(sample.pose.heading);
+      // z is not reckoned: a level town, known to a metre.
+      sample.covariance(2, 2) = 1.0;
+      all.push_back(sample);
+    }
+    if (recordings == 1) continue;
+    core::RecordingStart begun;
+    begun.relation = core::RecordingRelation::kDatum;
+    begun.datum = start;
+    begun.datum.x += Normal(random, kDatumMeters);
+    begun.datum.y += Normal(random, kDatumMeters);
+    begun.datum.heading =
+        core::WrapHeading(start.heading + Normal(random, kDatumRadians));
+    for (const int i : {0, 1})
+      begun.covariance(i, i) = kDatumMeters * kDatumMeters;
+    begun.covariance(2, 2) = 1.0;
+    begun.covariance(3, 3) = kDatumRadians * kDatumRadians;
+    all[all.size() - part.size()].recording_start =
+        std::make_shared<const core::RecordingStart>(begun);
+  }
+  return all;
+}
+
+// The same, in one recording.
+inline core::PoseGraph MakeRoads(core::NodeIndex nodes) {
   core::PoseGraph graph;
-  for (const core::PoseSample& sample :
-       oracle::WithCovariances(estimate, noise)) {
+  for (const core::PoseSample& sample : RecordRoads(nodes, 1)) {
     core::Node node;
     node.sequence = sample.sequence;
     node.travelled_meters = kSpacing * static_cast<double>(sample.sequence - 1);
     node.pose = sample.pose;
-    node.pose.heading = core::WrapHeading(node.pose.heading);
     node.covariance = sample.covariance;
-    // z is not reckoned: a level town, known to a metre.
-    node.covariance(2, 2) = 1.0;
     graph.AddNode(node, graph.size() == 0, std::nullopt);
   }
   return graph;
