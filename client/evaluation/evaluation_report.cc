@@ -5,6 +5,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "client/answers/names.h"
+#include "client/evaluation/bootstrap.h"
 #include "client/evaluation/calibration.h"
 #include "client/terminal/terminal.h"
 #include "nlohmann/json.hpp"
@@ -18,6 +19,7 @@ using Json = nlohmann::ordered_json;
 struct Row {
   std::string drive;
   Tally tally;
+  FigureIntervals intervals;
   // The mean over the results that the row holds.
   std::optional<double> inflation;
   // The mean over those that a verifier has tied to another recording.
@@ -38,11 +40,50 @@ std::optional<double> MeanOf(const std::vector<const DriveResult*>& of,
   return sum / count;
 }
 
+// Whether both are of one drive, with different seeds.
+bool AreSeedsOfOneDrive(const DriveResult& a, const DriveResult& b) {
+  return a.drive == b.drive && a.seed.has_value() && b.seed.has_value();
+}
+
+// The results by drive, in order of first appearance.
+std::vector<std::vector<const DriveResult*>> ByDrive(
+    const std::vector<const DriveResult*>& results) {
+  std::vector<std::vector<const DriveResult*>> groups;
+  for (const DriveResult* result : results) {
+    const auto group =
+        std::find_if(groups.begin(), groups.end(), [&](const auto& known) {
+          return AreSeedsOfOneDrive(*known[0], *result);
+        });
+    if (group == groups.end()) {
+      groups.push_back({result});
+    } else {
+      group->push_back(result);
+    }
+  }
+  return groups;
+}
+
+FigureIntervals IntervalsOf(const std::vector<const DriveResult*>& results) {
+  std::vector<ChecksOfSeeds> drives;
+  for (const auto& group : ByDrive(results)) {
+    ChecksOfSeeds& seeds = drives.emplace_back();
+    for (const DriveResult* result : group) seeds.push_back(&result->checks);
+  }
+  return Bootstrap(drives);
+}
+
+std::vector<const DriveResult*> AllOf(const MethodResult& method) {
+  std::vector<const DriveResult*> all;
+  for (const DriveResult& result : method.drives) all.push_back(&result);
+  return all;
+}
+
 Row MakeRow(const std::string& name,
             const std::vector<const DriveResult*>& of) {
   Row row;
   row.drive = name;
   for (const DriveResult* result : of) row.tally.Add(result->tally);
+  row.intervals = IntervalsOf(of);
   row.inflation = MeanOf(of, &DriveResult::inflation);
   row.linked_after_meters = MeanOf(of, &DriveResult::linked_after_meters);
   return row;
@@ -50,21 +91,9 @@ Row MakeRow(const std::string& name,
 
 // A row for each drive with all its seeds, in order of first appearance.
 std::vector<Row> RowsOf(const MethodResult& method) {
-  std::vector<std::pair<std::string, std::vector<const DriveResult*>>> groups;
-  for (const DriveResult& result : method.drives) {
-    const auto group =
-        std::find_if(groups.begin(), groups.end(), [&](const auto& known) {
-          return known.first == result.drive &&
-                 known.second[0]->seed.has_value() && result.seed.has_value();
-        });
-    if (group == groups.end()) {
-      groups.push_back({result.drive, {&result}});
-    } else {
-      group->second.push_back(&result);
-    }
-  }
   std::vector<Row> rows;
-  for (const auto& [drive, results] : groups) {
+  for (const auto& results : ByDrive(AllOf(method))) {
+    const std::string& drive = results[0]->drive;
     rows.push_back(MakeRow(
         results.size() > 1 ? absl::StrCat(drive, ", ", results.size(), " seeds")
                            : drive,
@@ -74,13 +103,25 @@ std::vector<Row> RowsOf(const MethodResult& method) {
 }
 
 Row TotalRow(const MethodResult& method) {
-  std::vector<const DriveResult*> all;
-  for (const DriveResult& result : method.drives) all.push_back(&result);
-  return MakeRow("total", all);
+  return MakeRow("total", AllOf(method));
 }
 
 std::string OrDash(std::optional<double> value, int digits) {
   return value.has_value() ? Fixed(*value, digits) : "-";
+}
+
+std::string OrDash(const std::optional<Interval>& interval) {
+  return interval.has_value() ? absl::StrCat(Fixed(interval->low, 3), "-",
+                                             Fixed(interval->high, 3))
+                              : "-";
+}
+
+// A figure with its interval, where it has one.
+std::string WithInterval(std::optional<double> figure,
+                         const std::optional<Interval>& interval) {
+  return interval.has_value() ? absl::StrCat(OrDash(figure, 3),
+                                             " (95 %: ", OrDash(interval), ")")
+                              : OrDash(figure, 3);
 }
 
 std::string OutcomeOf(const JudgedCheck& check) {
@@ -119,16 +160,18 @@ void PrintSummary(const Row& row, bool verified, bool recordings,
       {"true loops", absl::StrCat(t.true_loops)},
       {"accepted", absl::StrCat(t.accepted)},
       {"right", absl::StrCat(t.accepted_correct)},
-      {"precision", OrDash(t.precision(), 3)},
-      {"recall", OrDash(t.recall(), 3)},
-      {"F1", OrDash(t.f1(), 3)},
+      {"precision", WithInterval(t.precision(), row.intervals.precision)},
+      {"recall", WithInterval(t.recall(), row.intervals.recall)},
+      {"F1", WithInterval(t.f1(), row.intervals.f1)},
       {"in interval",
        absl::StrCat("precision ", OrDash(t.interval_precision(), 3),
                     ", recall ", OrDash(t.interval_recall(), 3), ": ",
                     t.accepted_holding, " whose interval holds the place")}};
   for (auto& field : RankingFields(t)) fields.push_back(std::move(field));
   if (t.calibration_error().has_value()) {
-    fields.push_back({"ECE p>=0.1", OrDash(t.positive_calibration_error(), 3)});
+    fields.push_back(
+        {"ECE p>=0.1", WithInterval(t.positive_calibration_error(),
+                                    row.intervals.positive_calibration_error)});
     fields.push_back({"ECE", OrDash(t.calibration_error(), 3)});
   }
   if (recordings) {
@@ -162,9 +205,10 @@ std::vector<Table::Column> ColumnsOf(const Report& report) {
   if (report.methods.size() > 1) columns.push_back({"METHOD", Align::kLeft});
   columns.push_back({"DRIVE", Align::kLeft});
   for (const char* title :
-       {"CHECKS", "LOOPS", "ACCEPTED", "RIGHT", "PRECISION", "RECALL", "F1",
-        "P INTERVAL", "R INTERVAL", "TOP-1", "RECALL@5", "RECALL p>=0.9",
-        "VERIFY/LOOP", "LOOKS/LOOP", "ECE p>=0.1", "ECE"}) {
+       {"CHECKS",      "LOOPS",      "ACCEPTED",   "RIGHT",    "PRECISION",
+        "P 95%",       "RECALL",     "R 95%",      "F1",       "F1 95%",
+        "P INTERVAL",  "R INTERVAL", "TOP-1",      "RECALL@5", "RECALL p>=0.9",
+        "VERIFY/LOOP", "LOOKS/LOOP", "ECE p>=0.1", "ECE 95%",  "ECE"}) {
     columns.push_back({title, Align::kRight});
   }
   if (report.recordings) {
@@ -199,14 +243,21 @@ std::vector<std::string> CellsOf(const Report& report,
        {t.checks, t.true_loops, t.accepted, t.accepted_correct}) {
     cells.push_back(absl::StrCat(count));
   }
-  for (const auto& ratio :
-       {t.precision(), t.recall(), t.f1(), t.interval_precision(),
-        t.interval_recall(), t.top1(), t.recall_at_5(), t.sure_recall()}) {
+  for (const auto& [ratio, interval] :
+       {std::pair(t.precision(), row.intervals.precision),
+        std::pair(t.recall(), row.intervals.recall),
+        std::pair(t.f1(), row.intervals.f1)}) {
+    cells.push_back(OrDash(ratio, 3));
+    cells.push_back(OrDash(interval));
+  }
+  for (const auto& ratio : {t.interval_precision(), t.interval_recall(),
+                            t.top1(), t.recall_at_5(), t.sure_recall()}) {
     cells.push_back(OrDash(ratio, 3));
   }
   cells.push_back(OrDash(t.to_verify_per_loop(), 2));
   cells.push_back(OrDash(t.looks_per_loop(), 2));
   cells.push_back(OrDash(t.positive_calibration_error(), 3));
+  cells.push_back(OrDash(row.intervals.positive_calibration_error));
   cells.push_back(OrDash(t.calibration_error(), 3));
   if (report.recordings) {
     cells.push_back(absl::StrCat(t.new_road_checks));
@@ -250,7 +301,16 @@ Json OrNull(std::optional<double> value) {
   return value.has_value() ? Json(*value) : Json(nullptr);
 }
 
-Json TallyJson(const std::string& drive, const Tally& t) {
+Json OrNull(const std::optional<Interval>& interval) {
+  return interval.has_value() ? Json({interval->low, interval->high})
+                              : Json(nullptr);
+}
+
+// What `results` come to together.
+Json TallyJson(const std::string& drive,
+               const std::vector<const DriveResult*>& results) {
+  const Row row = MakeRow(drive, results);
+  const Tally& t = row.tally;
   Json json;
   json["drive"] = drive;
   json["checks"] = t.checks;
@@ -262,6 +322,9 @@ Json TallyJson(const std::string& drive, const Tally& t) {
   json["precision"] = OrNull(t.precision());
   json["recall"] = OrNull(t.recall());
   json["f1"] = OrNull(t.f1());
+  json["precision_95"] = OrNull(row.intervals.precision);
+  json["recall_95"] = OrNull(row.intervals.recall);
+  json["f1_95"] = OrNull(row.intervals.f1);
   json["accepted_holding"] = t.accepted_holding;
   json["interval_precision"] = OrNull(t.interval_precision());
   json["interval_recall"] = OrNull(t.interval_recall());
@@ -276,6 +339,8 @@ Json TallyJson(const std::string& drive, const Tally& t) {
   json["loops_seen"] = t.loops_seen;
   json["looks_per_loop_seen"] = OrNull(t.looks_per_loop());
   json["positive_calibration_error"] = OrNull(t.positive_calibration_error());
+  json["positive_calibration_error_95"] =
+      OrNull(row.intervals.positive_calibration_error);
   json["expected_calibration_error"] = OrNull(t.calibration_error());
   json["new_road_checks"] = t.new_road_checks;
   json["new_road_accepted"] = t.new_road_accepted;
@@ -332,7 +397,7 @@ Json ChecksJson(const DriveResult& result) {
 Json DrivesJson(const MethodResult& method, bool with_checks) {
   Json drives = Json::array();
   for (const DriveResult& result : method.drives) {
-    Json drive = TallyJson(result.drive, result.tally);
+    Json drive = TallyJson(result.drive, {&result});
     drive["seed"] =
         result.seed.has_value() ? Json(*result.seed) : Json(nullptr);
     drive["inflation"] = OrNull(result.inflation);
@@ -350,7 +415,7 @@ Json MethodJson(const MethodResult& method) {
   json["sequence_length_meters"] = method.sequence_length_meters;
   json["claimed_scale"] = OrNull(method.claimed_scale);
   json["drives"] = DrivesJson(method, false);
-  json["total"] = TallyJson("total", total);
+  json["total"] = TallyJson("total", AllOf(method));
   json["precision_recall"] = Json::array();
   for (const CurvePoint& point :
        PrecisionRecallCurve(total.confidences, total.true_loops)) {
@@ -454,7 +519,7 @@ std::string ReportJson(const Report& report, bool verbose) {
   const MethodResult& main = report.methods[report.main];
   Json json;
   json["drives"] = DrivesJson(main, verbose);
-  json["total"] = TallyJson("total", TotalOf(main));
+  json["total"] = TallyJson("total", AllOf(main));
   json["methods"] = Json::array();
   for (const MethodResult& method : report.methods) {
     json["methods"].push_back(MethodJson(method));

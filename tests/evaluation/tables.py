@@ -67,13 +67,21 @@ RELATIONS = {
 }
 
 
+def with_interval(total, name):
+    """A figure of a report, with where 95 of 100 such figures lie."""
+    interval = total[f"{name}_95"]
+    cell = decimals(total[name])
+    return cell if interval is None else (
+        f"{cell} ({decimals(interval[0])} to {decimals(interval[1])})")
+
+
 def figures(total):
     """Cells of TITLES for the counts of a report."""
     return [f"{total['true_loops']} / {total['checks']}", total["accepted"],
-            total["accepted_correct"], decimals(total["precision"]),
-            decimals(total["recall"]), decimals(total["f1"]),
+            total["accepted_correct"], with_interval(total, "precision"),
+            with_interval(total, "recall"), with_interval(total, "f1"),
             decimals(total["sure_recall"]),
-            decimals(total["positive_calibration_error"])]
+            with_interval(total, "positive_calibration_error")]
 
 
 TITLES = ["true loops / checks", "accepted", "right", "precision", "recall",

@@ -82,9 +82,12 @@ def test_figures_that_are_not_there_are_dashes():
     counts = {"true_loops": 3, "checks": 9, "accepted": 4,
               "accepted_correct": 2, "precision": 0.5, "recall": 2 / 3,
               "f1": 4 / 7, "sure_recall": None,
-              "positive_calibration_error": None}
+              "positive_calibration_error": None, "precision_95": [0.25, 0.75],
+              "recall_95": None, "f1_95": None,
+              "positive_calibration_error_95": None}
     cells = tables.figures(counts)
-    assert cells == ["3 / 9", 4, 2, "0.500", "0.667", "0.571", "-", "-"]
+    assert cells == ["3 / 9", 4, 2, "0.500 (0.250 to 0.750)", "0.667", "0.571",
+                     "-", "-"]
     assert reports.markdown(["a", "b"], [[1, "x"]]) \
         == "| a | b |\n|---|---|\n| 1 | x |"
     assert len(cells) == len(tables.TITLES)

@@ -75,18 +75,22 @@ TEST(EvaluationReportTest, TableHasARowForEachMethodAndDriveAndTheTotals) {
   ASSERT_EQ(lines.size(), 10u);
   EXPECT_THAT(lines[0],
               MatchesRegex("METHOD +DRIVE +CHECKS +LOOPS +ACCEPTED +RIGHT "
-                           "+PRECISION +RECALL +F1 "
+                           "+PRECISION +P 95% +RECALL +R 95% +F1 +F1 95% "
                            "+P INTERVAL +R INTERVAL +TOP-1 +RECALL@5 "
                            "+RECALL p>=0.9 +VERIFY/LOOP +LOOKS/LOOP "
-                           "+ECE p>=0.1 +ECE "
+                           "+ECE p>=0.1 +ECE 95% +ECE "
                            "+POSES/s +p50 ms +p99 ms"));
   EXPECT_THAT(lines[1],
-              MatchesRegex("paper +one +2 +2 +1 +1 +1.000 +0.500 +0.667 +1.000 "
-                           "+0.500 +0.500 "
-                           "+0.500 +0.500 +1.00 +2.00 +0.150 +0.150 +100 "
+              MatchesRegex("paper +one +2 +2 +1 +1 +1.000 +0.025-1.000 +0.500 "
+                           "+0.000-1.000 +0.667 +0.000-1.000 "
+                           "+1.000 +0.500 +0.500 "
+                           "+0.500 +0.500 +1.00 +2.00 +0.150 "
+                           "+0.100-0.200 +0.150 +100 "
                            "+1.00 +2.00"));
-  EXPECT_THAT(lines[3],
-              MatchesRegex("paper +total +4 +4 +2 +2 +1.000 +0.500 .* 100 .*"));
+  EXPECT_THAT(
+      lines[3],
+      MatchesRegex(
+          "paper +total +4 +4 +2 +2 +1.000 +0.158-1.000 +0.500 .* 100 .*"));
   EXPECT_THAT(lines[4], MatchesRegex("-+"));
   EXPECT_THAT(lines[6], MatchesRegex("relative +two .*"));
   EXPECT_EQ(lines[9], "a note");
@@ -99,7 +103,8 @@ TEST(EvaluationReportTest, OneRowIsAList) {
   EXPECT_THAT(lines[0], MatchesRegex("drive +one"));
   // In the words of the table, which the help explains.
   for (const char* line :
-       {"precision +1.000", "recall +0.500",
+       {"precision +1.000 .95 %: 0.025-1.000.",
+        "recall +0.500 .95 %: 0.000-1.000.",
         "in interval +precision 1.000, recall 0.500: 1 whose interval holds "
         "the place",
         "top-1 +0.500, 1 of the true loops .verdict aside.",
@@ -108,7 +113,7 @@ TEST(EvaluationReportTest, OneRowIsAList) {
         "more",
         "verify/loop +1.00, 1 accepted for the 1 loops found",
         "looks/loop +2.00, 2 looks of 20 m for the 1 loops seen",
-        "ECE p>=0.1 +0.150", "ECE +0.150"}) {
+        "ECE p>=0.1 +0.150 .95 %: 0.100-0.200.", "ECE +0.150"}) {
     EXPECT_THAT(lines, ::testing::Contains(MatchesRegex(line)));
   }
 }
