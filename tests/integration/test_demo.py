@@ -24,7 +24,7 @@ def demo(directory, *flags):
 def test_demo_finds_the_loops_of_the_drive_and_draws_them(tmp_path):
     shown = demo(tmp_path)
     assert shown.returncode == 0, shown.stderr
-    figures = dict(re.findall(r"^(checks|precision|recall) +([\d.]+)$",
+    figures = dict(re.findall(r"^(checks|precision|recall) +([\d.]+)\b",
                               shown.stdout, re.MULTILINE))
     assert figures["checks"] == "312"
     assert float(figures["precision"]) > 0.95
