@@ -69,8 +69,8 @@ void AddDraw(const Seeds& seeds, std::mt19937_64* random, Tally* tally) {
   for (const std::vector<Part>& parts : seeds) {
     const std::size_t n = parts.size();
     for (std::size_t i = 0; i < n; ++i) {
-      const auto begin = static_cast<std::size_t>(begins[i / block] *
-                                                  static_cast<double>(n));
+      const auto begin =
+          static_cast<std::size_t>(begins[i / block] * static_cast<double>(n));
       Add(parts[(begin + i % block) % n], tally);
     }
   }
@@ -81,8 +81,8 @@ std::optional<Interval> MiddleOf(std::vector<double> figures) {
     return std::nullopt;
   }
   std::sort(figures.begin(), figures.end());
-  const auto outside = static_cast<std::size_t>(
-      kOutside * static_cast<double>(figures.size()));
+  const auto outside =
+      static_cast<std::size_t>(kOutside * static_cast<double>(figures.size()));
   return Interval{figures[outside], figures[figures.size() - 1 - outside]};
 }
 
@@ -146,8 +146,8 @@ FigureIntervals Bootstrap(const std::vector<ChecksOfSeeds>& drives) {
   FigureIntervals intervals;
   intervals.precision = ShareInterval(parts, all.precision(), &Part::accepted,
                                       std::move(precision));
-  intervals.recall = ShareInterval(parts, all.recall(), &Part::true_loop,
-                                   std::move(recall));
+  intervals.recall =
+      ShareInterval(parts, all.recall(), &Part::true_loop, std::move(recall));
   if (all.f1() == 1.0) {
     // Only where both of the others are.
     intervals.f1 = Interval{

@@ -103,6 +103,7 @@ class Evaluator {
         uncertainty_(uncertainty),
         starts_(starts),
         run_(run),
+        verifier_(run.verifier_errors, /*seed=*/1),
         progress_(terminal, run.label, drive.samples.size(), "poses") {}
 
   // The last error that interrupted the stream; OK if none did.
@@ -303,28 +304,50 @@ class Evaluator {
           return absl::InternalError("a candidate names a pose never sent");
         }
       }
-      absl::Status sent;
       if (run_.asking_from > 0 && !IsFirstLink(first)) continue;
-      if (IsRight(first)) {
-        ++result_.tally.confirmed;
-        v1::AddLoopClosureRequest request;
-        request.set_parent(vehicle_);
-        v1::LoopClosure* closure = request.mutable_loop_closure();
-        closure->set_query_sequence(first.query().sequence());
-        closure->set_matched_sequence(first.matched().sequence());
-        sent = client_.AddLoopClosure(request).status();
-      } else {
-        ++result_.tally.rejected;
-        v1::RejectCandidateRequest request;
-        request.set_parent(vehicle_);
-        v1::RejectedCandidate* rejected = request.mutable_rejected_candidate();
-        rejected->set_query_sequence(first.query().sequence());
-        rejected->set_matched_sequence(first.matched().sequence());
-        sent = client_.RejectCandidate(request).status();
+      absl::Status sent;
+      switch (verifier_.Judge(IsRight(first))) {
+        case PlayedVerifier::Word::kNothing:
+          break;
+        case PlayedVerifier::Word::kConfirm:
+          sent = Confirm(first);
+          break;
+        case PlayedVerifier::Word::kReject:
+          sent = Reject(first);
+          break;
       }
       if (!sent.ok()) return sent;
     }
     return absl::OkStatus();
+  }
+
+  absl::Status Confirm(const v1::Candidate& candidate) {
+    ++result_.tally.confirmed;
+    v1::AddLoopClosureRequest request;
+    request.set_parent(vehicle_);
+    v1::LoopClosure* closure = request.mutable_loop_closure();
+    closure->set_query_sequence(candidate.query().sequence());
+    closure->set_matched_sequence(candidate.matched().sequence());
+    // A measurement is of the two poses, which lie before their nodes.
+    const auto truth = [&](const v1::Node& node) {
+      return TruthAt(node.sequence(), 0.0, drive_.truth);
+    };
+    if (const auto measured =
+            verifier_.Measure(truth(candidate.query()),
+                              truth(candidate.matched()), IsRight(candidate))) {
+      *closure->mutable_measurement() = *measured;
+    }
+    return client_.AddLoopClosure(request).status();
+  }
+
+  absl::Status Reject(const v1::Candidate& candidate) {
+    ++result_.tally.rejected;
+    v1::RejectCandidateRequest request;
+    request.set_parent(vehicle_);
+    v1::RejectedCandidate* rejected = request.mutable_rejected_candidate();
+    rejected->set_query_sequence(candidate.query().sequence());
+    rejected->set_matched_sequence(candidate.matched().sequence());
+    return client_.RejectCandidate(request).status();
   }
 
   // Whether a candidate is the first one that is right in its recording, and
@@ -405,6 +428,7 @@ class Evaluator {
   const std::vector<ClaimedUncertainty>& uncertainty_;
   const RecordingsOfDrive& starts_;
   const DriveRun& run_;
+  PlayedVerifier verifier_;
   Progress progress_;
   std::string vehicle_;
   // Written by the stream, read when it is over.

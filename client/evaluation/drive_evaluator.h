@@ -12,6 +12,7 @@
 #include "absl/status/statusor.h"
 #include "client/evaluation/evaluation.h"
 #include "client/evaluation/evaluation_report.h"
+#include "client/evaluation/played_verifier.h"
 #include "client/formats/drive_file.h"
 #include "client/revisit/client.h"
 #include "client/terminal/terminal.h"
@@ -40,6 +41,8 @@ struct DriveRun {
   // beyond the next check is sent. Checks and verdicts then follow each other
   // in one order, so that the result is the same every time.
   bool verify = false;
+  // How the verifier errs; not with asking_from.
+  VerifierErrors verifier_errors;
   // The first sample of the recording that asks, behind all others, whose
   // candidates in these alone count; 0 where there is one recording. Then a
   // verifier adds the first candidate that is right in each of the others, and

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "client/evaluation/evaluation.h"
+#include "client/evaluation/played_verifier.h"
 #include "client/evaluation/simulation.h"
 #include "client/formats/reader.h"
 #include "client/revisit/channel.h"
@@ -79,6 +80,8 @@ struct EvaluateOptions {
   // are wrong. With `recordings`: the first that is right in each of the others
   // alone, and only checks behind the first of these count.
   bool verify = false;
+  // How this verifier errs; without `recordings`.
+  VerifierErrors verifier_errors;
   // How often everything is done, with the same answers each time. At least 1.
   int repeats = 1;
   // Whether to print a line for each check.

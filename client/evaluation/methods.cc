@@ -126,6 +126,27 @@ void AddNotesOnErrors(const EvaluateOptions& options,
   }
 }
 
+// How the verifier erred, for behind "..., wrong ones were rejected".
+std::string VerifierErrorsText(const VerifierErrors& errors) {
+  std::string text;
+  if (errors.silent > 0.0) {
+    absl::StrAppend(&text, "; of ", Fixed(100.0 * errors.silent, 0),
+                    " % nothing was said");
+  }
+  if (errors.wrong > 0.0) {
+    absl::StrAppend(&text, "; of ", Fixed(100.0 * errors.wrong, 0),
+                    " % of the others the opposite");
+  }
+  if (errors.measured) {
+    absl::StrAppend(
+        &text, "; closures were measured to ",
+        Fixed(errors.measured->meters, 2), " m and ",
+        Fixed(errors.measured->heading_radians / kRadiansPerDegree, 2),
+        " degrees");
+  }
+  return text;
+}
+
 }  // namespace
 
 std::vector<Method> ChooseMethods(const EvaluateOptions& options,
@@ -174,9 +195,10 @@ std::vector<std::string> NotesOn(const EvaluateOptions& options) {
         "recording became a loop closure, without a measurement; only checks "
         "behind the first of these count.");
   } else if (options.verify) {
-    notes.push_back(
-        "Verified: accepted first candidates that are right became loop "
-        "closures, wrong ones were rejected.");
+    notes.push_back(absl::StrCat(
+        "Verified: accepted first candidates that are right became "
+        "loop closures, wrong ones were rejected",
+        VerifierErrorsText(options.verifier_errors), "."));
   }
   if (options.geodetic) {
     notes.push_back(absl::StrCat(

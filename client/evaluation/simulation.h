@@ -21,17 +21,16 @@
 
 namespace revisit::client {
 
-// Independent draws of the standard normal distribution.
+// Independent draws, of the standard normal distribution and of a uniform one.
 class NormalSource {
  public:
   explicit NormalSource(std::uint64_t seed) : random_(seed) {}
 
   double Next();
-
- private:
-  // In (0, 1].
+  // A draw of the uniform distribution in (0, 1].
   double Uniform();
 
+ private:
   std::mt19937_64 random_;
   std::optional<double> spare_;
 };

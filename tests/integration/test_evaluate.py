@@ -225,6 +225,39 @@ def test_verifier_confirms_what_is_right_and_rejects_what_is_wrong(tmp_path):
     assert re.search(r"CONFIRMED +REJECTED +INFLATION", table.stdout)
 
 
+def test_verifier_errs_as_it_is_told_to(tmp_path):
+    drive = write_drive(tmp_path / "drive.csv", 3)
+    right = report_of(drive, "--verify")["total"]
+    assert right["rejected"] == 0 < right["confirmed"]
+    liar = report_of(drive, "--verify", "--verify-wrong", "1")["total"]
+    assert liar["confirmed"] == 0 < liar["rejected"]
+    mute = report_of(drive, "--verify", "--verify-silent", "1")["total"]
+    assert mute["confirmed"] == mute["rejected"] == 0
+    # Closures with measurements are stored as such: the server refuses those that
+    # are none.
+    measured = report_of(drive, "--verify", "--verify-measured", "0.3,0.5",
+                         "--repeat", "2")
+    assert measured["total"]["confirmed"] == right["confirmed"]
+    assert any("closures were measured to 0.30 m and 0.50 degrees" in note
+               for note in measured["notes"])
+
+
+@pytest.mark.parametrize("flags, message", [
+    (("--verify", "--verify-wrong", "1.5"),
+     "--verify-wrong: expected a share in [0, 1], such as 0.1; got 1.5"),
+    (("--verify-silent", "0.1"), "--verify-silent: goes with --verify"),
+    (("--verify", "--verify-measured", "1"),
+     "--verify-measured: expected metres and degrees, such as 0.5,1"),
+    (("--verify", "--verify-measured", "1,1", "--state-space", "spatial"),
+     "--verify-measured: does not go with --state-space spatial"),
+])
+def test_a_verifier_that_cannot_be_is_refused(flags, message, tmp_path):
+    drive = write_drive(tmp_path / "drive.csv", 1)
+    refused = evaluate(drive, *flags)
+    assert refused.returncode == 64
+    assert message in refused.stderr
+
+
 def test_repeats_change_nothing_but_times(tmp_path):
     drive = write_drive(tmp_path / "drive.csv", 2)
     once = report_of(drive)

@@ -76,6 +76,8 @@ struct EvaluateFlags {
   std::string simulated_seeds;
   // Metres and, if there is a second number, seconds.
   std::vector<double> fix_noise;
+  // Metres and degrees.
+  std::vector<double> measured;
 };
 
 void AddInputsAndOutputs(const Command& command, EvaluateOptions* options) {
@@ -169,6 +171,17 @@ void AddMeasurements(const Command& command, EvaluateFlags* flags) {
       "candidates are right and which are wrong; with --recordings, "
       "of the first right one in each other recording alone, and "
       "count checks from then on");
+  VerifierErrors* const errors = &options->verifier_errors;
+  group.AddNumber("--verify-wrong", "SHARE", &errors->wrong,
+                  "With --verify: the share of candidates of which the "
+                  "opposite of the truth is said");
+  group.AddNumber("--verify-silent", "SHARE", &errors->silent,
+                  "With --verify: the share of candidates of which nothing is "
+                  "said");
+  group.AddPositiveNumbers(
+      "--verify-measured", "M,DEG", &flags->measured,
+      "With --verify: closures say how the poses lie to each other, with these "
+      "standard deviations of noise, which are stated");
 }
 
 void AddJudging(const Command& command, EvaluateOptions* options) {
@@ -266,6 +279,38 @@ std::string CheckErrorModels(const Command& command,
   return "";
 }
 
+// Names what is wrong with the verifier; empty if nothing is.
+std::string CheckVerifier(const Command& command, const EvaluateFlags& flags) {
+  const EvaluateOptions& options = flags.options;
+  for (const char* name :
+       {"--verify-wrong", "--verify-silent", "--verify-measured"}) {
+    if (!command.Given(name)) continue;
+    if (!options.verify) return absl::StrCat(name, ": goes with --verify");
+    if (options.recordings.has_value()) {
+      return absl::StrCat(name,
+                          ": does not go with --recordings, where the verifier "
+                          "says of each recording where it lies");
+    }
+  }
+  const auto check_share = [](const char* name, double share) -> std::string {
+    if (share >= 0.0 && share <= 1.0) return "";
+    return absl::StrCat(name, ": expected a share in [0, 1], such as 0.1; got ",
+                        share);
+  };
+  const VerifierErrors& errors = options.verifier_errors;
+  std::string problem = check_share("--verify-wrong", errors.wrong);
+  if (problem.empty()) problem = check_share("--verify-silent", errors.silent);
+  if (!problem.empty() || flags.measured.empty()) return problem;
+  if (flags.measured.size() != 2) {
+    return "--verify-measured: expected metres and degrees, such as 0.5,1";
+  }
+  if (options.settings.state_space() == v1::STATE_SPACE_SPATIAL) {
+    return "--verify-measured: does not go with --state-space spatial, since "
+           "the truth is judged in the plane";
+  }
+  return "";
+}
+
 // Names what is wrong with the claimed scales; empty if nothing is.
 std::string CheckScales(const Command& command,
                         const EvaluateOptions& options) {
@@ -302,7 +347,12 @@ std::string FinishOptions(const Command& command, EvaluateFlags* flags) {
   if (problem.empty()) problem = CheckTruth(options);
   if (problem.empty()) problem = CheckRecordings(command, *flags);
   if (problem.empty()) problem = CheckNumberOfDrives(options);
+  if (problem.empty()) problem = CheckVerifier(command, *flags);
   if (!problem.empty()) return problem;
+  if (!flags->measured.empty()) {
+    options.verifier_errors.measured = MeasurementNoise{
+        flags->measured[0], flags->measured[1] * kRadiansPerDegree};
+  }
   if (!flags->fix_noise.empty()) {
     options.fix_noise.emplace();
     options.fix_noise->meters = flags->fix_noise[0];

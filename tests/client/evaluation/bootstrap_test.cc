@@ -49,7 +49,8 @@ TEST(BootstrapTest, ChecksThatDependOnNothingVaryAsTheBinomialDoes) {
   const double recall = *Count(checks).recall();
   EXPECT_LT(intervals.recall->low, recall);
   EXPECT_GT(intervals.recall->high, recall);
-  const double wanted = 2.0 * 1.96 * std::sqrt(recall * (1.0 - recall) / 2000.0);
+  const double wanted =
+      2.0 * 1.96 * std::sqrt(recall * (1.0 - recall) / 2000.0);
   EXPECT_NEAR(WidthOf(intervals.recall), wanted, 0.25 * wanted);
 }
 
