@@ -3,7 +3,6 @@ PostgreSQL, the clients of some vehicles, and the judgement in the end."""
 
 import contextlib
 import math
-import os
 import signal
 import time
 
@@ -14,7 +13,8 @@ from cluster_history import Claim, Stored, hasty_moves, moves, violations
 from database_proxy import DatabaseProxy
 from envoy_front import EnvoyFront
 from postgres import Postgres, url_of
-from revisit_server import Server, clean_environment, free_port, wait_until
+from revisit_server import (Server, clean_environment, free_port, is_crowded,
+                            wait_until)
 from revisit_server import run as run_program
 from stubs import PoseGraphServiceStub
 from wire import as_bytes, list_poses
@@ -32,8 +32,13 @@ def back_seconds():
     """Within which everybody is served once nothing is in the way any more. That is a
     promise of a machine that has time for it; one with long queues at its processors,
     of others' work, is held to the order of events alone."""
-    crowded = os.getloadavg()[0] > 2 * os.cpu_count()
-    return TAKEOVER_SECONDS if crowded else 5.0
+    return TAKEOVER_SECONDS if is_crowded() else 5.0
+
+
+def silence_at_end_seconds():
+    """The longest time that anybody may wait where a server was asked to end: nobody
+    waits for its lease. A promise as that of back_seconds()."""
+    return TAKEOVER_SECONDS if is_crowded() else LEASE_SECONDS
 
 
 # Who had which vehicle when, noted by the database itself in the transaction that

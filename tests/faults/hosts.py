@@ -135,6 +135,10 @@ class Network:
 
     def close(self):
         """Everything on the hosts has to have ended."""
+        # The kernel takes a namespace's links away some time after its name is gone;
+        # the next network's link of this host would be refused until then.
+        if "clients" in self._addresses:
+            run("ip", "link", "delete", "eth-test")
         for name in reversed(self._names):
             run("ip", "netns", "delete", name)
 

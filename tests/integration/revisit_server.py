@@ -71,6 +71,12 @@ def wait_until_still(value, seconds=600.0):
     return last
 
 
+def is_crowded():
+    """Whether long queues have waited at this machine's processors for the last
+    minute. What is promised in seconds is promised of others."""
+    return os.getloadavg()[0] > 2 * os.cpu_count()
+
+
 def processor_seconds(pid):
     """Processor time of a process so far."""
     stat = pathlib.Path(f"/proc/{pid}/stat").read_text()

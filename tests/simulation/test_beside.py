@@ -23,7 +23,7 @@ import cluster
 import parameters
 from envoy_proxy import ENVOY, directory_of_cluster, skip_without_envoy
 from own_postgres import exit_without_postgres, private_cluster
-from revisit_server import BIN, clean_environment, wait_until
+from revisit_server import BIN, clean_environment, is_crowded, wait_until
 
 SERVERS = 3
 VEHICLES = 12
@@ -33,6 +33,9 @@ SEEDS = range(1, 21)
 # The longest gap of a simulated run may be so many seconds longer on a busy machine,
 # and by this share; or shorter, where the dice fell otherwise than for any seed.
 LATE_SECONDS, EARLY_SECONDS, SHARE = 2.0, 1.0, 0.15
+# The same on a machine with long queues at its processors, which the simulation does
+# not have.
+CROWDED_SECONDS = 10.0
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -193,4 +196,5 @@ def test_vehicles_wait_as_long_as_simulated_where_a_server_or_the_database_is(na
     gap = real_gap(FAULTS[name])
     print(f"{name}: {gap:.1f} s, simulated {min(gaps):.1f} to {max(gaps):.1f} s")
     assert (1.0 - SHARE) * min(gaps) - EARLY_SECONDS <= gap
-    assert gap <= (1.0 + SHARE) * max(gaps) + LATE_SECONDS
+    late = CROWDED_SECONDS if is_crowded() else LATE_SECONDS
+    assert gap <= (1.0 + SHARE) * max(gaps) + late
