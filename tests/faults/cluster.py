@@ -35,9 +35,9 @@ def back_seconds():
     return TAKEOVER_SECONDS if is_crowded() else 5.0
 
 
-def silence_at_end_seconds():
-    """The longest time that anybody may wait where a server was asked to end: nobody
-    waits for its lease. A promise as that of back_seconds()."""
+def short_of_lease_seconds():
+    """The longest time that anybody may wait where no lease has to run out. A promise
+    as that of back_seconds()."""
     return TAKEOVER_SECONDS if is_crowded() else LEASE_SECONDS
 
 
