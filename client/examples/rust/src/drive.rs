@@ -58,6 +58,7 @@ fn make_pose(
                 .map(column)
                 .collect::<Result<_, _>>()?,
         }),
-        error_transition: Vec::new(),
+        // A field that a later version adds is left out, and the program compiles.
+        ..Pose::default()
     })
 }
