@@ -103,7 +103,7 @@ class Evaluator {
         uncertainty_(uncertainty),
         starts_(starts),
         run_(run),
-        verifier_(run.verifier_errors, /*seed=*/1),
+        verifier_(run.verifier_errors, drive.name, run.seed),
         progress_(terminal, run.label, drive.samples.size(), "poses") {}
 
   // The last error that interrupted the stream; OK if none did.

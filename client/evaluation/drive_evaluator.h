@@ -3,6 +3,7 @@
 #define REVISIT_CLIENT_EVALUATION_DRIVE_EVALUATOR_H_
 
 #include <cstddef>
+#include <cstdint>
 #include <functional>
 #include <memory>
 #include <optional>
@@ -43,6 +44,8 @@ struct DriveRun {
   bool verify = false;
   // How the verifier errs; not with asking_from.
   VerifierErrors verifier_errors;
+  // What the verifier draws depends on this and on the drive.
+  std::uint64_t seed = 0;
   // The first sample of the recording that asks, behind all others, whose
   // candidates in these alone count; 0 where there is one recording. Then a
   // verifier adds the first candidate that is right in each of the others, and

@@ -5,6 +5,7 @@
 
 #include <cstdint>
 #include <optional>
+#include <string>
 
 #include "client/evaluation/simulation.h"
 #include "client/formats/drive_file.h"
@@ -30,9 +31,12 @@ struct VerifierErrors {
 
 class PlayedVerifier {
  public:
-  // Draws are those of the seed: the same for the same number of candidates.
-  PlayedVerifier(const VerifierErrors& errors, std::uint64_t seed)
-      : errors_(errors), draws_(seed), noise_(~seed) {}
+  // Draws are those of the drive and the seed, one after the other.
+  PlayedVerifier(const VerifierErrors& errors, const std::string& drive,
+                 std::uint64_t seed)
+      : errors_(errors),
+        draws_(seed, drive + ", verifier"),
+        noise_(~seed, drive + ", verifier") {}
 
   enum class Word { kNothing, kConfirm, kReject };
 

@@ -249,6 +249,7 @@ class Evaluation {
     run.exhaustive = options_.exhaustive;
     run.verify = options_.verify;
     run.verifier_errors = options_.verifier_errors;
+    run.seed = one.seed.value_or(0);
     run.asking_from = one.asking_from;
     if (method.source == Method::Source::kServiceBeyondRecentPath) {
       run.older_candidates = static_cast<std::size_t>(

@@ -74,6 +74,9 @@ bool ReadSeed(std::string_view text, std::uint64_t* seed) {
 
 }  // namespace
 
+NormalSource::NormalSource(std::uint64_t seed, const std::string& name)
+    : random_(seed ^ HashOf(name)) {}
+
 double NormalSource::Uniform() {
   return (static_cast<double>(random_() >> 11) + 1.0) * 0x1p-53;
 }
@@ -92,13 +95,13 @@ double NormalSource::Next() {
 
 Drive SimulateDeadReckoning(const Drive& drive, const UncertaintyOptions& noise,
                             std::uint64_t seed) {
-  NormalSource normal(seed ^ HashOf(drive.name));
+  NormalSource normal(seed, drive.name);
   // Each draw is a statement of its own: the compiler must not choose their
   // order.
   const auto draw = [&normal](double sigma) { return sigma * normal.Next(); };
   // Heights have draws of their own, so that those of the plane are the same
   // with and without them.
-  NormalSource normal_up(~seed ^ HashOf(drive.name));
+  NormalSource normal_up(~seed, drive.name);
   Drive simulated = drive;
   // The true pose up to which dead reckoning has counted.
   PlanarPose counted = drive.truth[0];
@@ -159,7 +162,7 @@ Drive SimulateFixes(const Drive& drive, const FixNoise& noise,
   // Seconds are sums of decimal fractions, which doubles do not hold exactly.
   constexpr double kRounding = 1e-6;
   constexpr double kLeastMotion = 0.5;
-  NormalSource normal(seed ^ HashOf(drive.name));
+  NormalSource normal(seed, drive.name);
   const double position = noise.meters * noise.meters;
   Drive fixes;
   fixes.name = drive.name;
@@ -239,7 +242,7 @@ absl::StatusOr<std::vector<std::uint64_t>> ParseSeeds(const std::string& text) {
 PlanarPose DrawDatum(const Drive& drive, double meters, double radians,
                      std::uint64_t seed) {
   // A source of its own, so that an estimate drawn with this seed has others.
-  NormalSource normal(seed ^ HashOf(drive.name + ", datum"));
+  NormalSource normal(seed, drive.name + ", datum");
   PlanarPose start = drive.truth.front();
   start.x += meters * normal.Next();
   start.y += meters * normal.Next();

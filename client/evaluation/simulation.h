@@ -25,6 +25,8 @@ namespace revisit::client {
 class NormalSource {
  public:
   explicit NormalSource(std::uint64_t seed) : random_(seed) {}
+  // Others for each name under one seed.
+  NormalSource(std::uint64_t seed, const std::string& name);
 
   double Next();
   // A draw of the uniform distribution in (0, 1].

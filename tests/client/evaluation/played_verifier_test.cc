@@ -1,6 +1,7 @@
 #include "client/evaluation/played_verifier.h"
 
 #include <cmath>
+#include <vector>
 
 #include "gtest/gtest.h"
 #include "tests/random.h"
@@ -11,7 +12,7 @@ namespace {
 using Word = PlayedVerifier::Word;
 
 TEST(PlayedVerifierTest, WithoutErrorsSaysTheTruth) {
-  PlayedVerifier verifier({}, 1);
+  PlayedVerifier verifier({}, "drive", 1);
   for (int i = 0; i < 1000; ++i) {
     EXPECT_EQ(verifier.Judge(true), Word::kConfirm);
     EXPECT_EQ(verifier.Judge(false), Word::kReject);
@@ -25,7 +26,7 @@ TEST(PlayedVerifierTest, IsSilentAndWrongAsOftenAsItIsTold) {
     VerifierErrors errors;
     errors.silent = 0.2;
     errors.wrong = 0.1;
-    PlayedVerifier verifier(errors, 7);
+    PlayedVerifier verifier(errors, "drive", 7);
     int silent = 0;
     int wrong = 0;
     for (int i = 0; i < kCandidates; ++i) {
@@ -42,9 +43,9 @@ TEST(PlayedVerifierTest, IsSilentAndWrongAsOftenAsItIsTold) {
 TEST(PlayedVerifierTest, OneShareDoesNotMoveWhomTheOtherConcerns) {
   VerifierErrors errors;
   errors.wrong = 0.3;
-  PlayedVerifier talks(errors, 5);
+  PlayedVerifier talks(errors, "drive", 5);
   errors.silent = 0.5;
-  PlayedVerifier often_silent(errors, 5);
+  PlayedVerifier often_silent(errors, "drive", 5);
   for (int i = 0; i < 1000; ++i) {
     const Word word = talks.Judge(true);
     const Word other = often_silent.Judge(true);
@@ -54,12 +55,26 @@ TEST(PlayedVerifierTest, OneShareDoesNotMoveWhomTheOtherConcerns) {
   }
 }
 
+TEST(PlayedVerifierTest, DrivesAndSeedsHaveErrorsOfTheirOwn) {
+  VerifierErrors errors;
+  errors.wrong = 0.5;
+  const auto words = [&](const char* drive, std::uint64_t seed) {
+    PlayedVerifier verifier(errors, drive, seed);
+    std::vector<Word> said;
+    for (int i = 0; i < 100; ++i) said.push_back(verifier.Judge(true));
+    return said;
+  };
+  EXPECT_EQ(words("one", 1), words("one", 1));
+  EXPECT_NE(words("one", 1), words("one", 2));
+  EXPECT_NE(words("one", 1), words("two", 1));
+}
+
 TEST(PlayedVerifierTest, EachShareMayBeAll) {
   VerifierErrors errors;
   errors.wrong = 1.0;
-  PlayedVerifier liar(errors, 1);
+  PlayedVerifier liar(errors, "drive", 1);
   errors.silent = 1.0;
-  PlayedVerifier mute(errors, 1);
+  PlayedVerifier mute(errors, "drive", 1);
   for (int i = 0; i < 1000; ++i) {
     EXPECT_EQ(liar.Judge(true), Word::kReject);
     EXPECT_EQ(mute.Judge(true), Word::kNothing);
@@ -70,7 +85,7 @@ TEST(PlayedVerifierTest, MeasuresTheTruthWithTheNoiseThatItStates) {
   std::mt19937_64 random = revisit::SeededRandom();
   VerifierErrors errors;
   errors.measured = MeasurementNoise{0.5, 0.02};
-  PlayedVerifier verifier(errors, 3);
+  PlayedVerifier verifier(errors, "drive", 3);
   double squared = 0.0;
   constexpr int kMeasurements = 4000;
   for (int i = 0; i < kMeasurements; ++i) {
@@ -105,7 +120,7 @@ TEST(PlayedVerifierTest, MeasuresTheTruthWithTheNoiseThatItStates) {
 TEST(PlayedVerifierTest, AFalsePlaceIsMeasuredAsIfTheVehicleWereThere) {
   VerifierErrors errors;
   errors.measured = MeasurementNoise{0.01, 0.001};
-  PlayedVerifier verifier(errors, 3);
+  PlayedVerifier verifier(errors, "drive", 3);
   const auto measured = verifier.Measure({500.0, 0.0, 1.0}, {}, false);
   EXPECT_NEAR(measured->x_meters(), 0.0, 0.1);
   EXPECT_NEAR(measured->heading_radians(), 0.0, 0.01);
