@@ -23,8 +23,8 @@
 
 namespace revisit::client {
 
-// Checks of a block: 500 m of road at the usual interval, which is what a
-// sequence looks back over; a fifth of the drive at most.
+// Checks of a block: 500 m of road at the usual interval, about as long as the
+// path that a search compares; a fifth of the drive at most.
 inline constexpr std::size_t kBlockChecks = 10;
 inline constexpr int kDraws = 1000;
 
@@ -33,7 +33,8 @@ struct Interval {
   double high = 0.0;
 };
 
-// Absent where the figure is, or is in more than one of twenty draws.
+// Absent where the figure is absent, of all checks or of more than one in
+// twenty draws.
 struct FigureIntervals {
   std::optional<Interval> precision;
   std::optional<Interval> recall;

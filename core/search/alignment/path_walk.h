@@ -9,7 +9,7 @@
 // to begin with, and one more for each loop closure that is crossed. Where
 // paths of one end meet after a loop closure, only the likeliest is walked on,
 // and at most kMostPaths are in all. A path ends where the next innovation lies
-// beyond kSquaredInnovationLimit. An end's only path ends early once it can
+// beyond kSquaredInnovationLimit. An end's only path ends early, once it can
 // count for nothing more; one of several is walked on, for those that it may
 // end. Opposite passes walk the history forward in time with all headings
 // turned by pi.
