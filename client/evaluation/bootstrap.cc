@@ -3,11 +3,11 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
-#include <random>
 #include <set>
 #include <utility>
 
 #include "client/evaluation/calibration.h"
+#include "client/evaluation/simulation.h"
 
 namespace revisit::client {
 namespace {
@@ -15,7 +15,7 @@ namespace {
 constexpr double kOutside = 0.025;
 constexpr double kLeastDefined = 0.95;
 
-// What a check adds to the figures.
+// The counts to which a check adds.
 struct Part {
   bool true_loop = false;
   bool accepted = false;
@@ -58,13 +58,13 @@ std::size_t ChecksOfBlock(const Seeds& seeds) {
 }
 
 // Draws the blocks of one drive, at the same shares of the way of each seed.
-void AddDraw(const Seeds& seeds, std::mt19937_64* random, Tally* tally) {
+void AddDraw(const Seeds& seeds, RandomSource* random, Tally* tally) {
   const std::size_t block = ChecksOfBlock(seeds);
   const std::size_t blocks = (MostChecks(seeds) + block - 1) / block;
   std::vector<double> begins(blocks);
-  // In [0, 1), the same with every standard library.
+  // In [0, 1): draws are multiples of 2^-53 above 0.
   for (double& begin : begins) {
-    begin = static_cast<double>((*random)() >> 11) * 0x1p-53;
+    begin = random->Uniform() - 0x1p-53;
   }
   for (const std::vector<Part>& parts : seeds) {
     const std::size_t n = parts.size();
@@ -130,7 +130,7 @@ FigureIntervals Bootstrap(const std::vector<ChecksOfSeeds>& drives) {
   std::vector<double> recall;
   std::vector<double> f1;
   std::vector<double> error;
-  std::mt19937_64 random(1989);
+  RandomSource random(1989);
   for (int draw = 0; draw < kDraws; ++draw) {
     Tally tally;
     for (const Seeds& seeds : parts) AddDraw(seeds, &random, &tally);

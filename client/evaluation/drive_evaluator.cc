@@ -305,12 +305,13 @@ class Evaluator {
         }
       }
       if (run_.asking_from > 0 && !IsFirstLink(first)) continue;
+      const bool is_right = IsRight(first);
       absl::Status sent;
-      switch (verifier_.Judge(IsRight(first))) {
+      switch (verifier_.Judge(is_right)) {
         case PlayedVerifier::Word::kNothing:
           break;
         case PlayedVerifier::Word::kConfirm:
-          sent = Confirm(first);
+          sent = Confirm(first, is_right);
           break;
         case PlayedVerifier::Word::kReject:
           sent = Reject(first);
@@ -321,7 +322,7 @@ class Evaluator {
     return absl::OkStatus();
   }
 
-  absl::Status Confirm(const v1::Candidate& candidate) {
+  absl::Status Confirm(const v1::Candidate& candidate, bool is_right) {
     ++result_.tally.confirmed;
     v1::AddLoopClosureRequest request;
     request.set_parent(vehicle_);
@@ -332,9 +333,8 @@ class Evaluator {
     const auto truth = [&](const v1::Node& node) {
       return TruthAt(node.sequence(), 0.0, drive_.truth);
     };
-    if (const auto measured =
-            verifier_.Measure(truth(candidate.query()),
-                              truth(candidate.matched()), IsRight(candidate))) {
+    if (const auto measured = verifier_.Measure(
+            truth(candidate.query()), truth(candidate.matched()), is_right)) {
       *closure->mutable_measurement() = *measured;
     }
     return client_.AddLoopClosure(request).status();

@@ -44,7 +44,7 @@ struct DriveRun {
   bool verify = false;
   // How the verifier errs; not with asking_from.
   VerifierErrors verifier_errors;
-  // What the verifier draws depends on this and on the drive.
+  // The seed of the drive; the verifier's draws depend on both.
   std::uint64_t seed = 0;
   // The first sample of the recording that asks, behind all others, whose
   // candidates in these alone count; 0 where there is one recording. Then a

@@ -89,21 +89,21 @@ Row MakeRow(const std::string& name,
   return row;
 }
 
-// A row for each drive with all its seeds, in order of first appearance.
+// A row for each drive with all its seeds, in order of first appearance, and
+// their total where there are several, by which alone a sweep is read.
 std::vector<Row> RowsOf(const MethodResult& method) {
+  const auto drives = ByDrive(AllOf(method));
   std::vector<Row> rows;
-  for (const auto& results : ByDrive(AllOf(method))) {
+  for (const auto& results : drives) {
+    if (drives.size() > 1 && method.claimed_scale.has_value()) break;
     const std::string& drive = results[0]->drive;
     rows.push_back(MakeRow(
         results.size() > 1 ? absl::StrCat(drive, ", ", results.size(), " seeds")
                            : drive,
         results));
   }
+  if (drives.size() > 1) rows.push_back(MakeRow("total", AllOf(method)));
   return rows;
-}
-
-Row TotalRow(const MethodResult& method) {
-  return MakeRow("total", AllOf(method));
 }
 
 std::string OrDash(std::optional<double> value, int digits) {
@@ -281,12 +281,7 @@ void PrintTable(const Report& report, std::ostream& out, std::size_t width) {
   const bool several = report.methods.size() > 1;
   Table table(ColumnsOf(report));
   for (const MethodResult& method : report.methods) {
-    std::vector<Row> rows = RowsOf(method);
-    if (rows.size() > 1) {
-      // A sweep is read by its totals.
-      if (method.claimed_scale.has_value()) rows.clear();
-      rows.push_back(TotalRow(method));
-    }
+    const std::vector<Row> rows = RowsOf(method);
     const bool total = rows.size() > 1;
     if (several && &method != &report.methods.front() && total) table.AddRule();
     for (const Row& row : rows) {
@@ -306,7 +301,7 @@ Json OrNull(const std::optional<Interval>& interval) {
                               : Json(nullptr);
 }
 
-// What `results` come to together.
+// The figures of all these results together.
 Json TallyJson(const std::string& drive,
                const std::vector<const DriveResult*>& results) {
   const Row row = MakeRow(drive, results);
@@ -394,7 +389,7 @@ Json ChecksJson(const DriveResult& result) {
   return list;
 }
 
-Json DrivesJson(const MethodResult& method, bool with_checks) {
+Json DrivesJson(const MethodResult& method) {
   Json drives = Json::array();
   for (const DriveResult& result : method.drives) {
     Json drive = TallyJson(result.drive, {&result});
@@ -402,7 +397,6 @@ Json DrivesJson(const MethodResult& method, bool with_checks) {
         result.seed.has_value() ? Json(*result.seed) : Json(nullptr);
     drive["inflation"] = OrNull(result.inflation);
     drive["linked_after_meters"] = OrNull(result.linked_after_meters);
-    if (with_checks) drive["check_list"] = ChecksJson(result);
     drives.push_back(std::move(drive));
   }
   return drives;
@@ -414,7 +408,7 @@ Json MethodJson(const MethodResult& method) {
   json["method"] = method.method;
   json["sequence_length_meters"] = method.sequence_length_meters;
   json["claimed_scale"] = OrNull(method.claimed_scale);
-  json["drives"] = DrivesJson(method, false);
+  json["drives"] = DrivesJson(method);
   json["total"] = TallyJson("total", AllOf(method));
   json["precision_recall"] = Json::array();
   for (const CurvePoint& point :
@@ -506,7 +500,7 @@ void PrintChecks(const DriveResult& result, std::ostream& out,
 
 void PrintReport(const Report& report, std::ostream& out, std::size_t width) {
   const MethodResult& main = report.methods[report.main];
-  if (report.methods.size() == 1 && RowsOf(main).size() == 1) {
+  if (report.methods.size() == 1 && ByDrive(AllOf(main)).size() == 1) {
     PrintSummary(RowsOf(main)[0], report.verified, report.recordings, out);
   } else {
     PrintTable(report, out, width);
@@ -517,13 +511,17 @@ void PrintReport(const Report& report, std::ostream& out, std::size_t width) {
 
 std::string ReportJson(const Report& report, bool verbose) {
   const MethodResult& main = report.methods[report.main];
-  Json json;
-  json["drives"] = DrivesJson(main, verbose);
-  json["total"] = TallyJson("total", AllOf(main));
-  json["methods"] = Json::array();
+  Json methods = Json::array();
   for (const MethodResult& method : report.methods) {
-    json["methods"].push_back(MethodJson(method));
+    methods.push_back(MethodJson(method));
   }
+  Json json;
+  json["drives"] = methods[report.main]["drives"];
+  for (std::size_t i = 0; verbose && i < main.drives.size(); ++i) {
+    json["drives"][i]["check_list"] = ChecksJson(main.drives[i]);
+  }
+  json["total"] = methods[report.main]["total"];
+  json["methods"] = std::move(methods);
   json["repeats"] = report.repeats;
   json["notes"] = report.notes;
   return json.dump(1, ' ', false, Json::error_handler_t::replace);

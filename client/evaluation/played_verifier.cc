@@ -1,8 +1,5 @@
 #include "client/evaluation/played_verifier.h"
 
-#include <cmath>
-
-#include "client/evaluation/evaluation.h"
 #include "revisit/v1/geometry.pb.h"
 
 namespace revisit::client {
@@ -19,19 +16,13 @@ PlayedVerifier::Word PlayedVerifier::Judge(bool is_right) {
 std::optional<v1::LoopClosureMeasurement> PlayedVerifier::Measure(
     const PlanarPose& query, const PlanarPose& matched, bool is_right) {
   if (!errors_.measured) return std::nullopt;
-  const PlanarPose& seen = is_right ? query : matched;
-  const double dx = seen.x - matched.x;
-  const double dy = seen.y - matched.y;
-  const double c = std::cos(matched.heading);
-  const double s = std::sin(matched.heading);
+  const PlanarPose seen = Between(matched, is_right ? query : matched);
   const double meters = errors_.measured->meters;
   const double radians = errors_.measured->heading_radians;
   v1::LoopClosureMeasurement measurement;
-  measurement.set_x_meters(c * dx + s * dy + meters * noise_.Next());
-  measurement.set_y_meters(c * dy - s * dx + meters * noise_.Next());
-  measurement.set_heading_radians(
-      std::remainder(seen.heading - matched.heading, 2.0 * kPi) +
-      radians * noise_.Next());
+  measurement.set_x_meters(seen.x + meters * noise_.Next());
+  measurement.set_y_meters(seen.y + meters * noise_.Next());
+  measurement.set_heading_radians(seen.heading + radians * noise_.Next());
   v1::Covariance* const covariance = measurement.mutable_covariance();
   covariance->set_form(v1::COVARIANCE_FORM_PLANAR_6);
   for (const double value :

@@ -40,7 +40,7 @@ class PlayedVerifier {
 
   enum class Word { kNothing, kConfirm, kReject };
 
-  // What is said of the next candidate.
+  // The word about the next candidate.
   Word Judge(bool is_right);
 
   // The measurement of a candidate that was confirmed; nothing where none is
@@ -52,8 +52,8 @@ class PlayedVerifier {
 
  private:
   VerifierErrors errors_;
-  NormalSource draws_;
-  NormalSource noise_;
+  RandomSource draws_;
+  RandomSource noise_;
 };
 
 }  // namespace revisit::client

@@ -25,16 +25,6 @@ std::uint64_t HashOf(const std::string& name) {
   return hash;
 }
 
-// Pose b as seen from pose a.
-PlanarPose Between(const PlanarPose& a, const PlanarPose& b) {
-  const double dx = b.x - a.x;
-  const double dy = b.y - a.y;
-  const double c = std::cos(a.heading);
-  const double s = std::sin(a.heading);
-  return {c * dx + s * dy, -s * dx + c * dy,
-          std::remainder(b.heading - a.heading, kTurn)};
-}
-
 // The pose that is seen as `step` from `pose`.
 PlanarPose Compound(const PlanarPose& pose, const PlanarPose& step) {
   const double c = std::cos(pose.heading);
@@ -74,14 +64,14 @@ bool ReadSeed(std::string_view text, std::uint64_t* seed) {
 
 }  // namespace
 
-NormalSource::NormalSource(std::uint64_t seed, const std::string& name)
+RandomSource::RandomSource(std::uint64_t seed, const std::string& name)
     : random_(seed ^ HashOf(name)) {}
 
-double NormalSource::Uniform() {
+double RandomSource::Uniform() {
   return (static_cast<double>(random_() >> 11) + 1.0) * 0x1p-53;
 }
 
-double NormalSource::Next() {
+double RandomSource::Next() {
   if (spare_.has_value()) {
     const double value = *spare_;
     spare_.reset();
@@ -93,15 +83,24 @@ double NormalSource::Next() {
   return radius * std::cos(angle);
 }
 
+PlanarPose Between(const PlanarPose& a, const PlanarPose& b) {
+  const double dx = b.x - a.x;
+  const double dy = b.y - a.y;
+  const double c = std::cos(a.heading);
+  const double s = std::sin(a.heading);
+  return {c * dx + s * dy, -s * dx + c * dy,
+          std::remainder(b.heading - a.heading, kTurn)};
+}
+
 Drive SimulateDeadReckoning(const Drive& drive, const UncertaintyOptions& noise,
                             std::uint64_t seed) {
-  NormalSource normal(seed, drive.name);
+  RandomSource normal(seed, drive.name);
   // Each draw is a statement of its own: the compiler must not choose their
   // order.
   const auto draw = [&normal](double sigma) { return sigma * normal.Next(); };
   // Heights have draws of their own, so that those of the plane are the same
   // with and without them.
-  NormalSource normal_up(~seed, drive.name);
+  RandomSource normal_up(~seed, drive.name);
   Drive simulated = drive;
   // The true pose up to which dead reckoning has counted.
   PlanarPose counted = drive.truth[0];
@@ -162,7 +161,7 @@ Drive SimulateFixes(const Drive& drive, const FixNoise& noise,
   // Seconds are sums of decimal fractions, which doubles do not hold exactly.
   constexpr double kRounding = 1e-6;
   constexpr double kLeastMotion = 0.5;
-  NormalSource normal(seed, drive.name);
+  RandomSource normal(seed, drive.name);
   const double position = noise.meters * noise.meters;
   Drive fixes;
   fixes.name = drive.name;
@@ -242,7 +241,7 @@ absl::StatusOr<std::vector<std::uint64_t>> ParseSeeds(const std::string& text) {
 PlanarPose DrawDatum(const Drive& drive, double meters, double radians,
                      std::uint64_t seed) {
   // A source of its own, so that an estimate drawn with this seed has others.
-  NormalSource normal(seed, drive.name + ", datum");
+  RandomSource normal(seed, drive.name + ", datum");
   PlanarPose start = drive.truth.front();
   start.x += meters * normal.Next();
   start.y += meters * normal.Next();

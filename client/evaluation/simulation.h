@@ -22,11 +22,11 @@
 namespace revisit::client {
 
 // Independent draws, of the standard normal distribution and of a uniform one.
-class NormalSource {
+class RandomSource {
  public:
-  explicit NormalSource(std::uint64_t seed) : random_(seed) {}
+  explicit RandomSource(std::uint64_t seed) : random_(seed) {}
   // Others for each name under one seed.
-  NormalSource(std::uint64_t seed, const std::string& name);
+  RandomSource(std::uint64_t seed, const std::string& name);
 
   double Next();
   // A draw of the uniform distribution in (0, 1].
@@ -36,6 +36,9 @@ class NormalSource {
   std::mt19937_64 random_;
   std::optional<double> spare_;
 };
+
+// Pose b as seen from pose a.
+PlanarPose Between(const PlanarPose& a, const PlanarPose& b);
 
 // Draws the estimate of a drive anew and drops the file's covariances. The
 // first pose is off by `start_position` and `start_heading`. Each step of the

@@ -25,9 +25,9 @@ namespace revisit::core {
 class FrameRelations {
  public:
   // The recordings up to that of the query. `loops` in the order in which they
-  // were confirmed; those within one recording tie nothing. What `nodes` refers
-  // to outlives this. REQUIRES: the nodes of all loops lie at or before the
-  // query.
+  // were confirmed; those within one recording tie nothing. The graph of
+  // `nodes` must outlive this. REQUIRES: the nodes of all loops lie at or
+  // before the query.
   FrameRelations(const FrameNodes& nodes, const Recordings& recordings,
                  NodeIndex query, const std::vector<ConfirmedLoop>& loops);
 

@@ -87,7 +87,7 @@ class Relation {
   Relation() = default;
   // The relation to another recording. `drifts` are the ways that marks have
   // shown, in falling order of their marks; their weights sum to less than 1.
-  // What `nodes` refers to outlives this.
+  // The graph of `nodes` must outlive this.
   Relation(const FrameNodes& nodes, const FrameRelation& tie,
            std::vector<WeighedDrift> drifts);
 

@@ -35,7 +35,7 @@ TEST(PlayedVerifierTest, IsSilentAndWrongAsOftenAsItIsTold) {
       wrong += word == (is_right ? Word::kReject : Word::kConfirm);
     }
     EXPECT_NEAR(silent, 0.2 * kCandidates, 0.01 * kCandidates);
-    // Of those of which something is said.
+    // Only candidates of which something is said can be judged wrongly.
     EXPECT_NEAR(wrong, 0.1 * 0.8 * kCandidates, 0.01 * kCandidates);
   }
 }

@@ -48,7 +48,7 @@ TEST(SimulationTest, DrawsTheSameNumbersEverywhere) {
   std::mt19937_64 standard;
   standard.discard(9999);
   EXPECT_EQ(standard(), 9981545732273789042u);
-  NormalSource normal(1);
+  RandomSource normal(1);
   const double first = normal.Next();
   const double second = normal.Next();
   const double third = normal.Next();
@@ -61,7 +61,7 @@ TEST(SimulationTest, DrawsAStandardNormalDistribution) {
   constexpr std::uint64_t kSeed = 20100927;
   SCOPED_TRACE("seed " + std::to_string(kSeed));
   constexpr int kDraws = 200'000;
-  NormalSource normal(kSeed);
+  RandomSource normal(kSeed);
   double sum = 0.0;
   double squares = 0.0;
   double fourths = 0.0;

@@ -99,6 +99,19 @@ FrameRelation RandomRelation(std::mt19937_64& random, const Chains& chains,
   return relation;
 }
 
+// The relation of recordings that refers to nodes c and m, and by which node m
+// lies at this pose.
+FrameRelation RelationOf(const Chains& chains, NodeIndex c, NodeIndex m,
+                         const Pose& matched) {
+  FrameRelation relation;
+  relation.state = FrameState::kDatum;
+  relation.transform = Compose(matched, Inverse(chains.graph().pose(m)));
+  relation.place = chains.graph().pose(m);
+  relation.asking_node = c;
+  relation.other_node = m;
+  return relation;
+}
+
 // The error of node i in the frame of its recording, as a rigid motion of all
 // that is seen from the reference: drawn step by step along the chain, away
 // from the reference.
@@ -274,12 +287,7 @@ TEST(FrameRelationTest, AFurtherClosureIsWeighedAgainstWhatWasKnown) {
   const PoseGraph& graph = chains.graph();
   const NodeIndex c = Chains::NodeOf(1, 3);
   const NodeIndex m = Chains::NodeOf(0, 2);
-  FrameRelation relation;
-  relation.state = FrameState::kDatum;
-  relation.transform = Compose(graph.pose(c), Inverse(graph.pose(m)));
-  relation.place = graph.pose(m);
-  relation.asking_node = c;
-  relation.other_node = m;
+  FrameRelation relation = RelationOf(chains, c, m, graph.pose(c));
   // The relation is as sure as the closure, which says that the two are 2 m
   // closer to each other in x.
   StateMatrix<3> p = StateMatrix<3>::Zero();
@@ -302,19 +310,14 @@ TEST(FrameRelationTest,
   const PoseGraph& graph = chains.graph();
   const NodeIndex c = Chains::NodeOf(1, 3);
   const NodeIndex m = Chains::NodeOf(0, 2);
-  FrameRelation relation;
-  relation.state = FrameState::kAfter;
-  relation.place = graph.pose(m);
-  relation.asking_node = c;
-  relation.other_node = m;
+  // The relation says that the two poses look in opposite directions.
+  Pose matched = graph.pose(c);
+  matched.heading = WrapHeading(matched.heading + kPi);
+  FrameRelation relation = RelationOf(chains, c, m, matched);
   StateMatrix<3> p = StateMatrix<3>::Zero();
   p.diagonal() << 1.0, 1.0, 0.1;
   relation.fixed = Wide(p);
   relation.drift = Wide(p);
-  // As the relation has it, the two poses look in opposite directions.
-  Pose matched = graph.pose(c);
-  matched.heading = WrapHeading(matched.heading + kPi);
-  relation.transform = Compose(matched, Inverse(graph.pose(m)));
   const auto heading_off = [&](double drift_scale) {
     const Pose placed =
         Compose(TiedBy(chains.nodes(), relation, {c, m}, drift_scale).transform,
@@ -331,12 +334,8 @@ TEST(FrameRelationTest, AClosureThatContradictsADatumReplacesIt) {
   const PoseGraph& graph = chains.graph();
   const NodeIndex c = Chains::NodeOf(1, 3);
   const NodeIndex m = Chains::NodeOf(0, 2);
-  FrameRelation relation = RandomRelation(random, chains, 1, 0);
-  relation.asking_node = c;
-  relation.other_node = m;
-  relation.place = graph.pose(m);
+  FrameRelation relation = RelationOf(chains, c, m, graph.pose(c));
   relation.fixed = Wide(StateMatrix<3>::Identity() * 0.01);
-  relation.transform = Compose(graph.pose(c), Inverse(graph.pose(m)));
   relation.transform.x += 500.0;
   for (const FrameState state : {FrameState::kDatum, FrameState::kKnown}) {
     relation.state = state;
