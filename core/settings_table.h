@@ -69,6 +69,8 @@ void VisitOptions(double node_spacing_meters, const Visit& visit) {
   visit(row("correlation_model", kRemadeWithNodes), [](auto& o) {
     return NoiseOf(o.correlation_model).carries_transitions;
   });
+  visit(row("correlation_model", kRemadeWithNodes),
+        [](auto& o) { return NoiseOf(o.correlation_model).carries_claims(); });
   visit(
       number("fix_correlation_meters",
              kRemadeMotionHistory | kRemadeConsistency, {1.0, 1e6}),

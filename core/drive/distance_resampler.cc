@@ -54,7 +54,7 @@ DistanceResampler::DistanceResampler(const ResamplerOptions& options)
 std::optional<Jump> DistanceResampler::Add(const PoseSample& sample,
                                            PoseGraph* graph) {
   if (!anchor_) {
-    StartSegment(sample, graph);
+    StartSegment(sample, std::nullopt, graph);
     return std::nullopt;
   }
   if (options_.carry_transitions && sample.transition) {
@@ -64,7 +64,7 @@ std::optional<Jump> DistanceResampler::Add(const PoseSample& sample,
   if (sample.recording_start) {
     // Errors of one recording tell nothing of those of another.
     if (options_.carry_transitions) node_to_anchor_.setZero();
-    StartSegment(sample, graph);
+    StartSegment(sample, std::nullopt, graph);
     return std::nullopt;
   }
   const double step =
@@ -72,14 +72,15 @@ std::optional<Jump> DistanceResampler::Add(const PoseSample& sample,
   if (has_skipped_ || options_.IsJump(step)) {
     const bool is_jump = !has_skipped_;
     node_to_anchor_ = anchor_to_last_ * node_to_anchor_;
-    StartSegment(sample, graph);
+    StartSegment(sample, InForce(sample), graph);
     if (!is_jump) return std::nullopt;
     return Jump{sample.sequence, step};
   }
   if (options_.IsStandstill(step)) {
     last_sequence_ = sample.sequence;
-    last_stamp_ns_ = sample.stamp_ns;
+    SetLastStamp(sample.stamp_ns);
   } else {
+    const std::optional<Covariance> in_force = InForce(sample);
     // Fraction of this step at which the last node lies.
     double reached = 0.0;
     while (true) {
@@ -94,7 +95,8 @@ std::optional<Jump> DistanceResampler::Add(const PoseSample& sample,
         node_to_anchor_ =
             PartialTransition(anchor_to_last_, reached, f) * node_to_anchor_;
       }
-      AddNode(sample, f, /*starts_segment=*/false, graph);
+      AddNode(sample, in_force.value_or(sample.covariance), f,
+              /*starts_segment=*/false, graph);
       reached = f;
     }
     if (options_.carry_transitions && reached < 1.0) {
@@ -102,7 +104,7 @@ std::optional<Jump> DistanceResampler::Add(const PoseSample& sample,
           PartialTransition(anchor_to_last_, reached, 1.0) * node_to_anchor_;
     }
     travelled_meters_ += step;
-    SetAnchor(sample);
+    SetAnchor(sample, in_force);
   }
   return std::nullopt;
 }
@@ -114,7 +116,7 @@ void DistanceResampler::Skip(std::uint64_t last_sequence, double meters,
                                std::min(travelled_meters_ + meters,
                                         LongestPath(options_.spacing_meters)));
   last_sequence_ = last_sequence;
-  last_stamp_ns_.reset();
+  SetLastStamp(std::nullopt);
   if (!anchor_) return;
   has_skipped_ = true;
   if (options_.carry_transitions && transition) {
@@ -124,8 +126,10 @@ void DistanceResampler::Skip(std::uint64_t last_sequence, double meters,
 
 void DistanceResampler::Save(ByteWriter* writer) const {
   writer->PutOptional(anchor_);
+  writer->PutOptional(carried_ ? std::optional<Carried>(*carried_)
+                               : std::nullopt);
   writer->Put(last_sequence_);
-  writer->PutOptional(last_stamp_ns_);
+  writer->PutOptional(last_stamp_ns());
   writer->Put(travelled_meters_);
   writer->Put(segment_start_meters_);
   writer->Put(segment_nodes_);
@@ -138,14 +142,18 @@ void DistanceResampler::Save(ByteWriter* writer) const {
 bool DistanceResampler::Load(const PoseGraph& graph,
                              std::uint64_t last_sequence, ByteReader* reader) {
   std::uint8_t has_skipped = 0;
-  if (!reader->GetOptional(&anchor_) || !reader->Get(&last_sequence_) ||
-      !reader->GetOptional(&last_stamp_ns_) ||
+  std::optional<Carried> carried;
+  std::optional<std::int64_t> last_stamp_ns;
+  if (!reader->GetOptional(&anchor_) || !reader->GetOptional(&carried) ||
+      !reader->Get(&last_sequence_) || !reader->GetOptional(&last_stamp_ns) ||
       !reader->Get(&travelled_meters_) ||
       !reader->Get(&segment_start_meters_) || !reader->Get(&segment_nodes_) ||
       !reader->Get(&has_skipped) || has_skipped > 1) {
     return false;
   }
+  SetLastStamp(last_stamp_ns);
   has_skipped_ = has_skipped == 1;
+  if (carried) carried_ = std::make_unique<Carried>(*carried);
   for (Eigen::Matrix4d* matrix : {&node_to_anchor_, &anchor_to_last_}) {
     if (!reader->GetArray(matrix->data(), 16) ||
         !AreFinite(matrix->data(), 16)) {
@@ -158,6 +166,11 @@ bool DistanceResampler::Load(const PoseGraph& graph,
            travelled_meters_ <= LongestPath(options_.spacing_meters);
   }
   if (graph.size() == 0) return false;
+  const auto is_sound = [&](const Covariance& covariance) {
+    return !FindDefect({last_sequence_, last_stamp_ns, anchor_->pose,
+                        covariance, std::nullopt},
+                       options_.state_space);
+  };
   const double spacing = options_.spacing_meters;
   const Node last = graph.node(graph.size() - 1);
   const double last_mark =
@@ -165,9 +178,10 @@ bool DistanceResampler::Load(const PoseGraph& graph,
   // From a place far behind, or so far on that a spacing is lost in rounding,
   // the next step would add nodes without end.
   return last_sequence_ == last_sequence && last.sequence <= last_sequence &&
-         !FindDefect({last_sequence_, last_stamp_ns_, anchor_->pose,
-                      anchor_->covariance, std::nullopt},
-                     options_.state_space) &&
+         is_sound(anchor_->claim) &&
+         (!carried_ || (options_.carry_claims && carried_->counts <= 1 &&
+                        carried_->has_reset <= 1)) &&
+         (in_force() == nullptr || is_sound(*in_force())) &&
          segment_nodes_ > 0 && segment_nodes_ <= graph.size() &&
          segment_start_meters_ >= 0.0 &&
          std::abs(last_mark - last.travelled_meters) <= 1e-3 * spacing &&
@@ -177,25 +191,47 @@ bool DistanceResampler::Load(const PoseGraph& graph,
          travelled_meters_ <= LongestPath(spacing);
 }
 
-void DistanceResampler::SetAnchor(const PoseSample& sample) {
-  anchor_ = Anchor{sample.pose, sample.covariance};
+std::optional<Covariance> DistanceResampler::InForce(
+    const PoseSample& sample) const {
+  if (!options_.carry_claims) return std::nullopt;
+  return CarriedClaim(options_.state_space, *anchor_, in_force(),
+                      {sample.pose, sample.covariance});
+}
+
+void DistanceResampler::SetAnchor(const PoseSample& sample,
+                                  const std::optional<Covariance>& in_force) {
+  const ClaimedPose now{sample.pose, sample.covariance};
+  if (in_force && !carried_) carried_ = std::make_unique<Carried>();
+  if (carried_) {
+    carried_->counts = in_force ? 1 : 0;
+    carried_->covariance = in_force.value_or(Covariance());
+  }
+  if (in_force && IsGivenUp(*anchor_, now)) {
+    carried_->has_reset = 1;
+    carried_->reset = {sample.sequence, DeviationsOf(anchor_->claim),
+                       DeviationsOf(now.claim)};
+  }
+  anchor_ = now;
   if (options_.carry_transitions) anchor_to_last_.setIdentity();
   last_sequence_ = sample.sequence;
-  last_stamp_ns_ = sample.stamp_ns;
+  SetLastStamp(sample.stamp_ns);
 }
 
 void DistanceResampler::StartSegment(const PoseSample& sample,
+                                     const std::optional<Covariance>& in_force,
                                      PoseGraph* graph) {
-  SetAnchor(sample);
+  SetAnchor(sample, in_force);
   has_skipped_ = false;
   segment_start_meters_ = travelled_meters_;
   segment_nodes_ = 0;
-  AddNode(sample, 1.0, /*starts_segment=*/true, graph);
+  AddNode(sample, in_force.value_or(sample.covariance), 1.0,
+          /*starts_segment=*/true, graph);
 }
 
 // Adds the node at fraction f in (0, 1] of the step from the anchor to this
 // sample.
-void DistanceResampler::AddNode(const PoseSample& sample, double f,
+void DistanceResampler::AddNode(const PoseSample& sample,
+                                const Covariance& in_force, double f,
                                 bool starts_segment, PoseGraph* graph) {
   Node node;
   node.travelled_meters =
@@ -206,26 +242,27 @@ void DistanceResampler::AddNode(const PoseSample& sample, double f,
     node.stamp_ns = sample.stamp_ns;
     node.pose = sample.pose;
     node.pose.heading = WrapHeading(sample.pose.heading);
-    node.covariance = sample.covariance;
+    node.covariance = in_force;
   } else {
     // While the vehicle stood still, only time passed: the step begins where
     // the anchor is, but at the time of the last pose.
     node.sequence = last_sequence_;
     node.fraction = f;
-    if (last_stamp_ns_ && sample.stamp_ns) {
+    if (has_last_stamp_ && sample.stamp_ns) {
       const double span = static_cast<double>(*sample.stamp_ns) -
-                          static_cast<double>(*last_stamp_ns_);
+                          static_cast<double>(last_stamp_ns_);
       // Stamps may be centuries apart. A node whose stamp would not fit has
       // none.
       std::int64_t stamp_ns = 0;
       if (std::abs(span) < kMostStampSpan &&
-          !__builtin_add_overflow(*last_stamp_ns_, std::llround(f * span),
+          !__builtin_add_overflow(last_stamp_ns_, std::llround(f * span),
                                   &stamp_ns)) {
         node.stamp_ns = stamp_ns;
       }
     }
     node.pose = Interpolate(anchor_->pose, sample.pose, f);
-    node.covariance = Interpolate(anchor_->covariance, sample.covariance, f);
+    node.covariance = Interpolate(
+        this->in_force() ? *this->in_force() : anchor_->claim, in_force, f);
   }
   if (options_.state_space == StateSpace::kPlanar) {
     // z is not part of the state: nothing may depend on what was given for it.

@@ -18,9 +18,11 @@
 
 #include <Eigen/Core>
 #include <cstdint>
+#include <memory>
 #include <optional>
 
 #include "core/base/byte_stream.h"
+#include "core/drive/carried_claim.h"
 #include "core/drive/findings.h"
 #include "core/drive/pose_graph.h"
 #include "core/drive/resampler_options.h"
@@ -51,6 +53,10 @@ class DistanceResampler {
   std::optional<Pose> last_pose() const {
     return anchor_ ? std::optional<Pose>(anchor_->pose) : std::nullopt;
   }
+  // The last claims that were given up (carried_claim.h); null if none were.
+  const ClaimsReset* last_reset() const {
+    return carried_ && carried_->has_reset != 0 ? &carried_->reset : nullptr;
+  }
   // Path length up to the last counted pose, without jumps.
   double travelled_meters() const { return travelled_meters_; }
 
@@ -61,25 +67,50 @@ class DistanceResampler {
             ByteReader* reader);
 
  private:
-  // The part of a counted pose that the next step needs.
-  struct Anchor {
-    Pose pose;
+  // What is in force at the anchor in place of its claim, if that does not
+  // count, and the last claims that were given up, if any were.
+  struct Carried {
     Covariance covariance;
+    std::uint64_t counts = 0;
+    std::uint64_t has_reset = 0;
+    ClaimsReset reset;
   };
 
-  void SetAnchor(const PoseSample& sample);
-  void StartSegment(const PoseSample& sample, PoseGraph* graph);
-  void AddNode(const PoseSample& sample, double fraction, bool starts_segment,
-               PoseGraph* graph);
+  // The covariance in force at a sample that follows the anchor in its
+  // recording; nothing where that is its claim.
+  std::optional<Covariance> InForce(const PoseSample& sample) const;
+  // Null where that is its claim.
+  const Covariance* in_force() const {
+    return carried_ && carried_->counts != 0 ? &carried_->covariance : nullptr;
+  }
+  std::optional<std::int64_t> last_stamp_ns() const {
+    return has_last_stamp_ ? std::optional<std::int64_t>(last_stamp_ns_)
+                           : std::nullopt;
+  }
+  void SetLastStamp(const std::optional<std::int64_t>& stamp_ns) {
+    has_last_stamp_ = stamp_ns.has_value();
+    last_stamp_ns_ = stamp_ns.value_or(0);
+  }
+  void SetAnchor(const PoseSample& sample,
+                 const std::optional<Covariance>& in_force);
+  void StartSegment(const PoseSample& sample,
+                    const std::optional<Covariance>& in_force,
+                    PoseGraph* graph);
+  void AddNode(const PoseSample& sample, const Covariance& in_force,
+               double fraction, bool starts_segment, PoseGraph* graph);
 
   ResamplerOptions options_;
   // The last counted pose.
-  std::optional<Anchor> anchor_;
+  std::optional<ClaimedPose> anchor_;
+  // Null where all claims of the vehicle have counted, as for most.
+  std::unique_ptr<Carried> carried_;
   // The last pose, counted or not.
   std::uint64_t last_sequence_ = 0;
-  std::optional<std::int64_t> last_stamp_ns_;
+  std::int64_t last_stamp_ns_ = 0;
   double travelled_meters_ = 0.0;
   double segment_start_meters_ = 0.0;
+  // Vehicles are many, so flags stand beside each other.
+  bool has_last_stamp_ = false;
   // Whether poses are missing since the last one.
   bool has_skipped_ = false;
   std::int64_t segment_nodes_ = 0;

@@ -9,6 +9,7 @@
 #include "core/base/byte_stream.h"
 #include "core/drive/agreement.h"
 #include "core/drive/block_bounds.h"
+#include "core/drive/carried_claim.h"
 #include "core/drive/claimed_model.h"
 #include "core/drive/confirmed_loop.h"
 #include "core/drive/consistency_monitor.h"
@@ -39,8 +40,9 @@ ResamplerOptions MakeResamplerOptions(const DriveSettings& settings) {
   options.state_space = settings.state_space;
   options.spacing_meters = settings.node_spacing_meters;
   options.max_step_meters = settings.max_step_meters;
-  options.carry_transitions =
-      NoiseOf(settings.search.correlation_model).carries_transitions;
+  const NoiseModel& noise = NoiseOf(settings.search.correlation_model);
+  options.carry_transitions = noise.carries_transitions;
+  options.carry_claims = noise.carries_claims();
   return options;
 }
 
@@ -56,7 +58,7 @@ ConsistencyOptions MakeConsistencyOptions(const DriveSettings& settings) {
 
 // Changes whenever anything does that the bytes of a drive hold, or that they
 // come from: drive_state_test.cc has bytes as they were.
-constexpr std::uint64_t kStateVersion = 2;
+constexpr std::uint64_t kStateVersion = 3;
 
 static_assert(Drive::kPartNodes == 64 * NodeBlock::kSize);
 constexpr auto kPartBlocks =
@@ -83,15 +85,19 @@ struct Drive::Impl {
     bool has_leapt = false;
     // Of the first pose in a new frame; 0 if there is none.
     std::uint64_t frame_sequence = 0;
+    // Of the first pose behind claims that were given up; 0 if none were.
+    std::uint64_t reset_sequence = 0;
 
     bool operator!=(const Found& other) const {
       return model != other.model || has_leapt != other.has_leapt ||
-             frame_sequence != other.frame_sequence;
+             frame_sequence != other.frame_sequence ||
+             reset_sequence != other.reset_sequence;
     }
     // Whether a finding of this moment is new since that one.
     bool IsNew(const Finding& finding, const Found& before) const {
       if (finding.leap) return !before.has_leapt;
       if (finding.frame) return frame_sequence != before.frame_sequence;
+      if (finding.reset) return reset_sequence != before.reset_sequence;
       return model != before.model;
     }
   };
@@ -118,11 +124,23 @@ struct Drive::Impl {
   // The new frame that the vehicle's settings let be one; null if there is
   // none.
   const NewFrame* FindNewFrame() const;
+  // The last claims that were given up, likewise.
+  const ClaimsReset* FindReset() const;
+  bool claims_do_not_grow() const {
+    return model_check.Judge(settings.search.correlation_model) ==
+           FindingCode::kCovariancesDoNotGrow;
+  }
   Found FoundSoFar() const;
   // Adds the graph's new nodes to its indexes.
   void ExtendIndexes();
   // Shows the graph's new nodes to those who watch them.
   void ExtendWatches();
+  // A measurement between two poses, with the covariances that the drive goes
+  // by: where the claim of a pose does not count at its node, what is carried
+  // on from there.
+  std::shared_ptr<const MeasuredLoop> InForce(
+      const std::shared_ptr<const MeasuredLoop>& measured, NodeIndex query,
+      NodeIndex matched) const;
   // Estimates the consistency anew from all confirmed loops.
   void RebuildMonitor();
   // What a closure of two recordings shows is how their frames lie, and nothing
@@ -162,7 +180,6 @@ Drive::Impl::Impl(const DriveSettings& with_settings)
       motion_history(MakeMotionHistory()),
       block_bounds(settings.state_space),
       monitor(MakeConsistencyOptions(settings)),
-      model_check(settings.max_step_meters),
       leap_watch(MakeLeapWatch()) {
   assert(FindProblems(settings).empty());
   ScheduleNextCheck();
@@ -228,15 +245,17 @@ LeapWatch Drive::Impl::MakeLeapWatch() const {
 // Where claims do not grow at all, that they fall is nothing new: they are then
 // those of fixes, and that is told (FindingCode::kCovariancesDoNotGrow).
 const NewFrame* Drive::Impl::FindNewFrame() const {
-  const CorrelationModel model = settings.search.correlation_model;
   const NewFrame* const frame = frame_watch.last();
   if (frame == nullptr ||
-      NoiseOf(model).claimed_growth != ClaimedGrowth::kGrows) {
+      NoiseOf(settings.search.correlation_model).claimed_growth !=
+          ClaimedGrowth::kGrows) {
     return nullptr;
   }
-  const bool is_of_fixes =
-      model_check.Judge(model) == FindingCode::kCovariancesDoNotGrow;
-  return frame->claims_fall && is_of_fixes ? nullptr : frame;
+  return frame->claims_fall && claims_do_not_grow() ? nullptr : frame;
+}
+
+const ClaimsReset* Drive::Impl::FindReset() const {
+  return claims_do_not_grow() ? nullptr : resampler.last_reset();
 }
 
 Drive::Impl::Found Drive::Impl::FoundSoFar() const {
@@ -245,6 +264,9 @@ Drive::Impl::Found Drive::Impl::FoundSoFar() const {
   found.has_leapt = leap_watch.leap().has_value();
   if (const NewFrame* frame = FindNewFrame()) {
     found.frame_sequence = frame->sequence;
+  }
+  if (const ClaimsReset* reset = FindReset()) {
+    found.reset_sequence = reset->sequence;
   }
   return found;
 }
@@ -275,6 +297,28 @@ std::optional<std::pair<NodeIndex, NodeIndex>> Drive::Impl::LoopEdge(
       graph.NodeAtOrBefore(matched_sequence);
   if (!query || !matched || *query == *matched) return std::nullopt;
   return std::make_pair(*query, *matched);
+}
+
+std::shared_ptr<const MeasuredLoop> Drive::Impl::InForce(
+    const std::shared_ptr<const MeasuredLoop>& measured, NodeIndex query,
+    NodeIndex matched) const {
+  if (measured == nullptr ||
+      !NoiseOf(settings.search.correlation_model).carries_claims()) {
+    return measured;
+  }
+  const auto carried = [this](const PoseEstimate& estimate, NodeIndex index) {
+    const Node node = graph.node(index);
+    return CarriedClaim(settings.state_space, {node.pose, node.covariance},
+                        nullptr, {estimate.pose, estimate.covariance});
+  };
+  const std::optional<Covariance> of_query = carried(measured->query, query);
+  const std::optional<Covariance> of_matched =
+      carried(measured->matched, matched);
+  if (!of_query && !of_matched) return measured;
+  auto in_force = std::make_shared<MeasuredLoop>(*measured);
+  if (of_query) in_force->query.covariance = *of_query;
+  if (of_matched) in_force->matched.covariance = *of_matched;
+  return in_force;
 }
 
 void Drive::Impl::RebuildMonitor() {
@@ -374,7 +418,7 @@ AppendResult Drive::Append(const std::vector<PoseSample>& samples,
                               impl_->resampler.last_pose().value_or(Pose()));
       impl_->model_check.Skip();
     }
-    impl_->model_check.Look(sample);
+    impl_->model_check.Look(sample, impl_->settings.max_step_meters);
     if (std::optional<Jump> jump =
             impl_->resampler.Add(sample, &impl_->graph)) {
       result.jumps.push_back(*jump);
@@ -417,6 +461,11 @@ std::vector<Finding> Drive::findings() const {
     Finding& finding = findings.emplace_back();
     finding.code = FindingCode::kNewFrame;
     finding.frame = *frame;
+  }
+  if (const ClaimsReset* reset = impl_->FindReset()) {
+    Finding& finding = findings.emplace_back();
+    finding.code = FindingCode::kCovariancesReset;
+    finding.reset = *reset;
   }
   return findings;
 }
@@ -514,7 +563,8 @@ void Drive::AddLoopClosure(std::uint64_t query_sequence,
     impl_->confirmed.push_back(
         {query_sequence,
          matched_sequence,
-         {edge->first, edge->second, std::move(measured)}});
+         {edge->first, edge->second,
+          impl_->InForce(measured, edge->first, edge->second)}});
     const ConfirmedLoop& loop = impl_->confirmed.back().loop;
     if (impl_->IsWithinRecording(loop)) {
       impl_->monitor.Confirm(impl_->graph, loop);
@@ -549,7 +599,8 @@ std::optional<Agreement> Drive::AgreementOf(
       impl_->graph.NodeAtOrBefore(matched_sequence);
   if (!query || !matched) return std::nullopt;
   const SimilarityModel model = SimilarityOf(impl_->settings.search);
-  const ConfirmedLoop loop{*query, *matched, measured};
+  const ConfirmedLoop loop{*query, *matched,
+                           impl_->InForce(measured, *query, *matched)};
   if (impl_->IsWithinRecording(loop)) {
     return core::AgreementOf(impl_->graph, model, loop);
   }

@@ -2,8 +2,11 @@
 #ifndef REVISIT_CORE_DRIVE_FINDINGS_H_
 #define REVISIT_CORE_DRIVE_FINDINGS_H_
 
+#include <cmath>
 #include <cstdint>
 #include <optional>
+
+#include "core/geometry/pose.h"
 
 namespace revisit::core {
 
@@ -22,20 +25,32 @@ struct StampLeap {
   std::int64_t nanoseconds = 0;
 };
 
+// Standard deviations of a pose: metres, the mean of x and y, and radians.
+struct Deviations {
+  double meters = 0.0;
+  double radians = 0.0;
+};
+inline Deviations DeviationsOf(const Covariance& covariance) {
+  return {std::sqrt(0.5 * (covariance(0, 0) + covariance(1, 1))),
+          std::sqrt(covariance(3, 3))};
+}
+
+// Claims that were given up where the pose went on (carried_claim.h).
+struct ClaimsReset {
+  // The first pose behind.
+  std::uint64_t sequence = 0;
+  Deviations before;
+  Deviations after;
+};
+
 // Poses that go on in what looks like another frame (frame_watch.h).
 struct NewFrame {
-  // Standard deviations of a pose: metres, the mean of x and y, and radians.
-  struct Claims {
-    double meters = 0.0;
-    double radians = 0.0;
-  };
-
   // The first pose in it, at most a node early or late.
   std::uint64_t sequence = 0;
   // From the node before to the node behind the step that leads to it.
   double meters = 0.0;
-  Claims before;
-  Claims after;
+  Deviations before;
+  Deviations after;
   // Whether that shows by the claims; if not, by a return to the start.
   bool claims_fall = false;
   // Nothing without stamps.
@@ -57,6 +72,11 @@ enum class FindingCode {
   // Claims are to grow (NoiseModel), but from one pose on they, or the
   // positions, are those of another frame.
   kNewFrame,
+  // Errors are to be carried on, but nearly no claim has what the swing of the
+  // heading makes of them (carried_claim.h).
+  kCovariancesWithoutLever,
+  // Claims are to grow, but were given up where the pose went on.
+  kCovariancesReset,
 };
 
 struct Finding {
@@ -71,6 +91,8 @@ struct Finding {
   std::optional<StampLeap> leap;
   // For kNewFrame only.
   std::optional<NewFrame> frame;
+  // For kCovariancesReset only.
+  std::optional<ClaimsReset> reset;
 };
 
 }  // namespace revisit::core

@@ -75,11 +75,6 @@ bool HasReturned(const Pose& first, const Pose& pose, double return_meters) {
   return is_at(first) || is_at(Pose());
 }
 
-NewFrame::Claims ClaimsOf(const Node& node) {
-  return {std::sqrt(0.5 * PositionVariance(node.covariance)),
-          std::sqrt(node.covariance(3, 3))};
-}
-
 // From one stretch between two poses to another one.
 struct Way {
   // The first node of the drive.
@@ -128,8 +123,8 @@ std::optional<NewFrame> Judge(const Way& way, double return_meters) {
     frame.sequence = (is_on_step ? after.sequence : middle->sequence) + 1;
   }
   frame.meters = meters;
-  frame.before = ClaimsOf(before);
-  frame.after = ClaimsOf(after);
+  frame.before = DeviationsOf(before.covariance);
+  frame.after = DeviationsOf(after.covariance);
   frame.claims_fall = has_fallen;
   frame.nanoseconds = NanosecondsBetween(before, after);
   return frame;

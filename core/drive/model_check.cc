@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/drive/carried_claim.h"
 #include "core/noise/chi_squared.h"
 
 namespace revisit::core {
@@ -50,12 +51,12 @@ class Gap {
 
 }  // namespace
 
-void ModelCheck::Look(const PoseSample& sample) {
+void ModelCheck::Look(const PoseSample& sample, double max_step_meters) {
   const Covariance& s = sample.covariance;
   const Position position{sample.pose.x, sample.pose.y, s(0, 0), s(0, 1),
                           s(1, 1)};
-  LookAtStretch({position, s(0, 3), s(1, 3), s(3, 3)});
-  LookAtTriple(position);
+  LookAtStretch({position, s(0, 3), s(1, 3), s(3, 3)}, max_step_meters);
+  LookAtTriple(position, max_step_meters);
 }
 
 double ModelCheck::MetersBetween(const Position& a, const Position& b) {
@@ -75,26 +76,42 @@ double ModelCheck::CarriedVariance(const Estimate& from, const Position& to) {
          2.0 * (x * from.yh - y * from.xh) + (x * x + y * y) * from.hh;
 }
 
-void ModelCheck::LookAtStretch(const Estimate& now) {
+bool ModelCheck::HasLever(const Estimate& from, const Estimate& to) {
+  Covariance claim;
+  claim(0, 0) = to.position.xx;
+  claim(1, 1) = to.position.yy;
+  claim(0, 3) = to.xh;
+  claim(1, 3) = to.yh;
+  claim(3, 3) = to.hh;
+  return !LacksLever(claim,
+                     from.xh - (to.position.y - from.position.y) * from.hh,
+                     from.yh + (to.position.x - from.position.x) * from.hh);
+}
+
+void ModelCheck::LookAtStretch(const Estimate& now, double max_step_meters) {
   if (stretch_start_) {
     const Position& start = stretch_start_->position;
     const Gap stretch(now.position.x - start.x, now.position.y - start.y);
     if (stretch.IsBelow(kStretchMeters)) return;
-    if (!stretch.IsAbove(max_step_meters_)) {
+    if (!stretch.IsAbove(max_step_meters)) {
+      const bool has_lever = HasLever(*stretch_start_, now);
       growing_.Add(now.position.xx + now.position.yy >
-                       CarriedVariance(*stretch_start_, now.position),
+                           CarriedVariance(*stretch_start_, now.position) ||
+                       (!has_lever && now.hh > stretch_start_->hh),
                    kLastStretches);
+      without_lever_ = (1.0 - 1.0 / kLastStretches) * without_lever_ +
+                       (has_lever ? 0.0 : 1.0);
     }
   }
   stretch_start_ = now;
 }
 
-void ModelCheck::LookAtTriple(const Position& c) {
+void ModelCheck::LookAtTriple(const Position& c, double max_step_meters) {
   if (last_) {
     const Gap step(c.x - last_->x, c.y - last_->y);
     if (step.IsBelow(kStepMeters)) return;
     // A jump: triples begin anew.
-    if (step.IsAbove(max_step_meters_)) last_.reset();
+    if (step.IsAbove(max_step_meters)) last_.reset();
   }
   if (last_ && before_) {
     const Position& a = *before_;
@@ -126,6 +143,10 @@ std::optional<FindingCode> ModelCheck::Judge(CorrelationModel model) const {
       growing < kLeastGrowing) {
     return FindingCode::kCovariancesDoNotGrow;
   }
+  if (noise.claimed_growth == ClaimedGrowth::kGrows &&
+      without_lever_ > kMostWithoutLever * growing_.counted()) {
+    return FindingCode::kCovariancesWithoutLever;
+  }
   if (noise.claimed_growth == ClaimedGrowth::kDoesNotGrow &&
       growing > kMostGrowing) {
     return FindingCode::kCovariancesGrow;
@@ -137,6 +158,7 @@ std::optional<FindingCode> ModelCheck::Judge(CorrelationModel model) const {
 void ModelCheck::Save(ByteWriter* writer) const {
   writer->PutOptional(stretch_start_);
   writer->Put(growing_);
+  writer->Put(without_lever_);
   writer->PutOptional(before_);
   writer->PutOptional(last_);
   writer->Put(smooth_);
@@ -145,11 +167,12 @@ void ModelCheck::Save(ByteWriter* writer) const {
 bool ModelCheck::Load(ByteReader* reader) {
   constexpr std::size_t kNumbers = sizeof(Estimate) / sizeof(double);
   return reader->GetOptional(&stretch_start_) && reader->Get(&growing_) &&
-         reader->GetOptional(&before_) && reader->GetOptional(&last_) &&
-         reader->Get(&smooth_) &&
+         reader->Get(&without_lever_) && reader->GetOptional(&before_) &&
+         reader->GetOptional(&last_) && reader->Get(&smooth_) &&
          (!stretch_start_ ||
           AreFinite(&stretch_start_->position.x, kNumbers)) &&
          IsFinite(before_) && IsFinite(last_) && growing_.IsValid() &&
+         0.0 <= without_lever_ && without_lever_ <= growing_.counted() &&
          smooth_.IsValid();
 }
 

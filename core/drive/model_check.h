@@ -1,6 +1,6 @@
 // Whether a vehicle's poses contradict the model of their errors that it has:
-// two shares, each of which one kind of estimator keeps near 0 and another near
-// 1, whatever the road.
+// three shares, each of which one kind of estimator keeps near 0 and another
+// near 1, whatever the road.
 //
 // The share of growing stretches. Where errors are carried on, the later pose
 // of a stretch is less certain than the earlier one carried over to it:
@@ -13,6 +13,11 @@
 // began and where S itself shrinks. Covariances that stay the same never grow,
 // since F adds the swing of the heading's error; those of fixes, which go up
 // and down with the view of the sky, grow half of the time.
+//
+// The share of stretches without a lever, among the same: the claim at the
+// later end has nothing of what the swing of the earlier heading's error makes
+// of it (carried_claim.h). Such a stretch grows too if the heading's variance
+// does, since the positions' alone shrink on ways that lead back.
 //
 // The share of smooth triples. For three poses a, b, c, the distance of b from
 // the line through a and c is free of the vehicle's speed. With errors that are
@@ -28,7 +33,7 @@
 // compares neighbours to the same end: Allan, "Statistics of atomic frequency
 // standards", Proc. IEEE 54 (1966).)
 //
-// Both are weighted so that the last few kilometres count: a vehicle whose
+// All are weighted so that the last few kilometres count: a vehicle whose
 // estimator was mended is found to be. O(1) per pose and in memory, and a
 // function of the poses alone.
 #ifndef REVISIT_CORE_DRIVE_MODEL_CHECK_H_
@@ -59,18 +64,18 @@ class ModelCheck {
   // Where half of them grow by chance, 0.75 is five standard deviations away.
   static constexpr double kLeastGrowing = 0.75;
   static constexpr double kMostGrowing = 0.95;
+  // Nearly all stretches of a driver that leaves the lever out are without one,
+  // and hardly any of one that does not.
+  static constexpr double kMostWithoutLever = 0.95;
   // A third of 0.6745.
   static constexpr double kSmooth = 0.2248;
   // More smooth triples than this: the median is a third of what independent
   // errors make it, or less.
   static constexpr double kMostSmooth = 0.5;
 
-  // A longer step is a jump.
-  explicit ModelCheck(double max_step_meters)
-      : max_step_meters_(max_step_meters) {}
-
-  // Looks at the next pose of the vehicle.
-  void Look(const PoseSample& sample);
+  // Looks at the next pose of the vehicle. A step that is longer than the
+  // longest one, which is the same at each call, is a jump.
+  void Look(const PoseSample& sample, double max_step_meters);
 
   // Poses are missing before the next one: nothing is judged across them.
   void Skip() {
@@ -134,15 +139,18 @@ class ModelCheck {
   static double MetersBetween(const Position& a, const Position& b);
   static double VarianceAlong(const Position& position, double x, double y);
   static double CarriedVariance(const Estimate& from, const Position& to);
+  static bool HasLever(const Estimate& from, const Estimate& to);
 
-  void LookAtStretch(const Estimate& now);
+  void LookAtStretch(const Estimate& now, double max_step_meters);
   // c: the last of a triple.
-  void LookAtTriple(const Position& c);
+  void LookAtTriple(const Position& c, double max_step_meters);
 
-  double max_step_meters_;
   // Where the stretch at hand began.
   std::optional<Estimate> stretch_start_;
   Share growing_;
+  // Of the stretches that growing_ has counted, weighted as there: how many are
+  // without a lever.
+  double without_lever_ = 0.0;
   // The last positions of the triples: the one before the last, and the last.
   std::optional<Position> before_;
   std::optional<Position> last_;

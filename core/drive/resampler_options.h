@@ -11,6 +11,9 @@ struct ResamplerOptions {
   // Whether nodes get error transitions; all samples but the first must have
   // them.
   bool carry_transitions = false;
+  // Whether errors are carried on by dead reckoning, so that claims of another
+  // shape do not count as they are (carried_claim.h).
+  bool carry_claims = false;
   double spacing_meters = 2.0;
   double max_step_meters = 100.0;
   double standstill_fraction = 0.05;

@@ -85,6 +85,11 @@ struct NoiseModel {
   // more than one step ever adds (shape_filter.h).
   bool has_margin_per_step = false;
 
+  // Whether claims of another shape than the model's are carried on by dead
+  // reckoning (carried_claim.h).
+  bool carries_claims() const {
+    return claimed_growth == ClaimedGrowth::kGrows;
+  }
   // Whether Gamma of two nodes takes O(1).
   bool has_closed_form() const { return form != DifferenceForm::kOfPath; }
 };

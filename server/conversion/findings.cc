@@ -21,7 +21,10 @@ constexpr EnumRow<v1::FindingCode, core::FindingCode> kCodes[] = {
     {v1::FINDING_CODE_COVARIANCES_GROW, core::FindingCode::kCovariancesGrow},
     {v1::FINDING_CODE_ERRORS_CORRELATED, core::FindingCode::kErrorsCorrelated},
     {v1::FINDING_CODE_STAMPS_LEAP, core::FindingCode::kStampsLeap},
-    {v1::FINDING_CODE_NEW_FRAME, core::FindingCode::kNewFrame}};
+    {v1::FINDING_CODE_NEW_FRAME, core::FindingCode::kNewFrame},
+    {v1::FINDING_CODE_COVARIANCES_WITHOUT_LEVER,
+     core::FindingCode::kCovariancesWithoutLever},
+    {v1::FINDING_CODE_COVARIANCES_RESET, core::FindingCode::kCovariancesReset}};
 
 // Poses that are so many times smoother than independent errors make them, or
 // more, have errors that depend on each other.
@@ -119,6 +122,29 @@ std::string NewFrameText(const core::NewFrame& frame) {
          "one have to be sent again, to a new vehicle";
 }
 
+std::string WithoutLeverText() {
+  return "the covariances of position and heading with each other are left "
+         "out, as from a driver that sends a diagonal, but an error of the "
+         "heading swings all that follows; so the heading's variance is "
+         "carried along the path, as dead reckoning does, and those of the "
+         "position say no more than what each step adds; send covariances "
+         "that are propagated, with their cross terms, or leave them out and "
+         "let the client model them (revisit: --uncertainty model); if the "
+         "poses are fixes, set correlation_model to CORRELATED_FIXES";
+}
+
+std::string ResetText(const core::ClaimsReset& reset) {
+  return StrCat(
+      "the covariance was begun anew at sequence ", reset.sequence,
+      ", but the pose went on: it claims to be within ",
+      Deviation(reset.after.meters), " m and ", Deviation(reset.after.radians),
+      " rad after ", Deviation(reset.before.meters), " m and ",
+      Deviation(reset.before.radians),
+      " rad; so what was claimed before is carried on; send covariances that "
+      "add up along the path, or, if the odometry began anew there, the first "
+      "pose of each recording with recording_start (revisit: --recording)");
+}
+
 std::string TextOf(const core::Finding& finding) {
   switch (finding.code) {
     case core::FindingCode::kCovariancesDoNotGrow:
@@ -131,6 +157,10 @@ std::string TextOf(const core::Finding& finding) {
       return ErrorsCorrelatedText(finding);
     case core::FindingCode::kStampsLeap:
       return StampsLeapText(finding.leap.value_or(core::StampLeap()));
+    case core::FindingCode::kCovariancesWithoutLever:
+      return WithoutLeverText();
+    case core::FindingCode::kCovariancesReset:
+      return ResetText(finding.reset.value_or(core::ClaimsReset()));
     case core::FindingCode::kNewFrame:
       break;
   }
@@ -139,13 +169,18 @@ std::string TextOf(const core::Finding& finding) {
 
 using Metadata = google::protobuf::Map<std::string, std::string>;
 
+void EncodeClaims(const core::Deviations& before, const core::Deviations& after,
+                  Metadata* metadata) {
+  (*metadata)["before_meters"] = NumberText(before.meters);
+  (*metadata)["after_meters"] = NumberText(after.meters);
+  (*metadata)["before_radians"] = NumberText(before.radians);
+  (*metadata)["after_radians"] = NumberText(after.radians);
+}
+
 void EncodeNewFrame(const core::NewFrame& frame, Metadata* metadata) {
   (*metadata)["sequence"] = StrCat(frame.sequence);
   (*metadata)["meters"] = NumberText(frame.meters);
-  (*metadata)["before_meters"] = NumberText(frame.before.meters);
-  (*metadata)["after_meters"] = NumberText(frame.after.meters);
-  (*metadata)["before_radians"] = NumberText(frame.before.radians);
-  (*metadata)["after_radians"] = NumberText(frame.after.radians);
+  EncodeClaims(frame.before, frame.after, metadata);
   if (frame.nanoseconds) {
     (*metadata)["seconds"] = SecondsText(*frame.nanoseconds);
   }
@@ -170,6 +205,10 @@ void EncodeFindingWarning(const core::Finding& finding, std::uint64_t sequence,
     metadata["seconds"] = SecondsText(finding.leap->nanoseconds);
   }
   if (finding.frame) EncodeNewFrame(*finding.frame, &metadata);
+  if (finding.reset) {
+    metadata["sequence"] = StrCat(finding.reset->sequence);
+    EncodeClaims(finding.reset->before, finding.reset->after, &metadata);
+  }
 }
 
 void EncodeStampWarning(const StampAhead& ahead, v1::Warning* warning) {

@@ -139,14 +139,21 @@ TEST(SettingsTableTest, OnlyASettingThatSaysSoMovesNodes) {
                                    "node_spacing_meters", "state_space"}));
 }
 
-TEST(SettingsTableTest, OnlyAModelThatCarriesTransitionsMovesNodes) {
-  DriveSettings before;
-  DriveSettings after;
-  after.search.correlation_model = CorrelationModel::kIndependent;
-  EXPECT_FALSE(MovesNodes(before, after));
-  after.search.correlation_model = CorrelationModel::kFilter;
-  EXPECT_TRUE(MovesNodes(before, after));
-  EXPECT_TRUE(MovesNodes(after, before));
+TEST(SettingsTableTest, OnlyAModelThatCarriesTransitionsOrClaimsMovesNodes) {
+  const auto moves = [](CorrelationModel from, CorrelationModel to) {
+    DriveSettings before;
+    DriveSettings after;
+    before.search.correlation_model = from;
+    after.search.correlation_model = to;
+    return MovesNodes(before, after);
+  };
+  EXPECT_FALSE(moves(CorrelationModel::kIndependent,
+                     CorrelationModel::kCorrelatedFixes));
+  for (const CorrelationModel model :
+       {CorrelationModel::kFilter, CorrelationModel::kDeadReckoning}) {
+    EXPECT_TRUE(moves(CorrelationModel::kIndependent, model));
+    EXPECT_TRUE(moves(model, CorrelationModel::kIndependent));
+  }
 }
 
 TEST(SettingsTableTest, ADriveRefusesSettingsThatMoveItsNodes) {

@@ -7,6 +7,7 @@
   height      drives with heights, by planar and by spatial vehicles
   filter      a filter's poses under each of the three models of correlation
   lengths     Nagoya with sequences of 100 to 400 m
+  claims      covariances as estimators and drivers send them (claims.py)
   situations  straight roads, symmetric corners and what helps (situations.py)
   recordings  sessions of one town as recordings of one vehicle, of which each asks
               once for places in the others
@@ -16,7 +17,8 @@ need, besides the shipped drive:
 
   --nagoya  spp_2023.pos, spp_2024.pos, reference_2023.csv, reference_2024.csv
             (or the same with .gz)
-  --drives  the drive of each file in --kitti, such as kitti_00.csv
+  --drives  the development drives, such as kitti_00.csv, that of each file in
+            --kitti among them
   --kitti   true poses of KITTI's odometry benchmark, such as 00.txt, and what
             estimators made of them, such as 00_sptam.txt: 12 numbers a line
   --sessions  drive files whose truths are in one frame or, with --register, are laid
@@ -33,6 +35,7 @@ import pathlib
 import sys
 import tempfile
 
+import claims
 import filtered_drive
 import registration
 import situations
@@ -47,6 +50,8 @@ MODELS = ("filter", "dead-reckoning", "independent")
 FIXES = {"each second": (filtered_drive.FIX_SCALE, 0.0),
          "each 120 s": (1.0, 120.0)}
 FILTER_SEEDS = range(1, 6)
+DEVELOPMENT = ("kitti_00", "kitti_02", "kitti_05", "kitti_06", "mulran_DCC_01",
+               "mulran_DCC_02", "mulran_DCC_03")
 #: Seconds without poses between the two days of the shipped drive.
 NIGHT = 3600.0
 #: What is known of the frames: the words of --recordings, and what else is asked for.
@@ -222,6 +227,26 @@ def lengths(options, _):
          *TITLES[5:], "paper: precision / recall", "F1"], rows.values())
 
 
+def right_where_sure(report):
+    """Of the first candidates that are stated at 0.9 or more, those that are right."""
+    sure = [first for drive in report["drives"] for check in drive["check_list"]
+            for first in check["candidates"][:1] if first["probability"] >= 0.9]
+    return f"{sum(first['correct'] for first in sure)} of {len(sure)}"
+
+
+def claimed_shapes(options, folder):
+    rows = []
+    for shape in claims.SHAPES:
+        drives = [claims.write_claimed(find(options.drives, f"{name}.csv"), shape,
+                                       folder / f"{name}_{shape}.csv")
+                  for name in DEVELOPMENT]
+        report = report_of(options.revisit, *drives, "--uncertainty", "fixes",
+                           "--correlation-model", "dead-reckoning", "--verbose")
+        rows.append([shape, *figures(report["total"]), right_where_sure(report)])
+    return markdown(["claims", *TITLES, "right of those stated at 0.9 and more"],
+                    rows)
+
+
 def days_of_boreas(folder):
     """The two days of the shipped drive, each as a file of its own."""
     lines = (BOREAS / "boreas_glen_shields.csv").read_text().splitlines()
@@ -265,6 +290,7 @@ def all_situations(options, _):
 TABLES = {"height": (height, ("nagoya", "drives", "kitti")),
           "filter": (filtered_poses, ("nagoya",)),
           "lengths": (lengths, ("nagoya",)),
+          "claims": (claimed_shapes, ("drives",)),
           "situations": (all_situations, ()),
           "recordings": (recordings, ("sessions",))}
 

@@ -38,9 +38,10 @@ def fixes(seed, kept, meters=2000.0, spacing=8.0):
     return poses
 
 
-def reckoning(meters=2000.0, spacing=2.0):
-    """Dead reckoning without errors, whose covariances grow as they should."""
-    covariance = numpy.diag([0.01, 0.01, 1e-5])
+def reckoning(meters=2000.0, spacing=2.0, begun_anew=0):
+    """Dead reckoning without errors, whose covariances grow as they should; at this
+    sequence, they begin anew."""
+    start = covariance = numpy.diag([0.01, 0.01, 1e-5])
     poses = []
     before = None
     for n, (x, y, heading) in enumerate(road(meters, spacing), 1):
@@ -49,6 +50,8 @@ def reckoning(meters=2000.0, spacing=2.0):
                                  [0, 0, 1.0]])
             covariance = lever @ covariance @ lever.T + spacing * numpy.diag(
                 [0.01, 0.0025, 3e-6])
+        if n == begun_anew:
+            covariance = start
         before = (x, y)
         poses.append(pose(n, x, y, heading,
                           list(covariance[numpy.triu_indices(3)])))
@@ -109,6 +112,44 @@ def test_poses_that_contradict_the_model_are_told_once(
             correlation_model=MODELS[setting])),
         update_mask={"paths": ["settings.correlation_model"]})).vehicle
     assert not mended.findings
+
+
+def as_diagonals(poses):
+    """The same poses with the variances of their covariances alone."""
+    for each in poses:
+        for entry in (1, 2, 4):
+            each.covariance.values[entry] = 0.0
+    return poses
+
+
+def headings_claimed(stub, vehicle):
+    """The variance of the heading at each node."""
+    parts = stub.ExportPoseGraph(api.ExportPoseGraphRequest(vehicle=vehicle))
+    return [node.covariance.values[5] for part in parts for node in part.nodes]
+
+
+@pytest.mark.parametrize("sent, code", [
+    (as_diagonals(reckoning()), "COVARIANCES_WITHOUT_LEVER"),
+    (reckoning(begun_anew=501), "COVARIANCES_RESET"),
+])
+def test_claims_that_are_none_of_reckoning_are_carried_on(
+        sent, code, stub, new_vehicle):
+    told = []
+    names = []
+    for poses in (reckoning(), sent):
+        names.append(new_vehicle())
+        told.append([w for batch in batches(poses)
+                     for w in append(stub, names[-1], list(batch)).warnings])
+    assert not told[0]
+    assert not get(stub, names[0]).findings
+    assert [w.metadata["finding"] for w in told[1]] == [f"FINDING_CODE_{code}"]
+    assert codes_of(get(stub, names[1])) == [code]
+    if code == "COVARIANCES_RESET":
+        assert told[1][0].metadata["sequence"] == "501"
+        assert (float(told[1][0].metadata["before_meters"])
+                > 10.0 * float(told[1][0].metadata["after_meters"]))
+    assert headings_claimed(stub, names[1]) == pytest.approx(
+        headings_claimed(stub, names[0]), rel=1e-2)
 
 
 def test_findings_are_the_same_after_a_restart_and_shown(tmp_path, seed):

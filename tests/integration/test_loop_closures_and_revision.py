@@ -95,11 +95,20 @@ def test_settings_of_the_search_change_without_a_new_graph(stub, driven):
     before = get(stub, vehicle)
     graph = as_bytes(export(stub, vehicle)[1])
     for field, value in OTHER_SETTINGS.items():
+        if field == "correlation_model":
+            continue
         after = update(stub, vehicle, field, **{field: value})
         assert getattr(after.settings, field) == value, field
         assert after.node_count == before.node_count
-    assert after.consistency.applied
     assert as_bytes(export(stub, vehicle)[1]) == graph
+    # Other models take claims as they are.
+    after = update(stub, vehicle, "correlation_model",
+                   correlation_model=OTHER_SETTINGS["correlation_model"])
+    assert after.node_count == before.node_count
+    assert after.consistency.applied
+    for node in export(stub, vehicle)[1]:
+        assert list(node.covariance.values) == pytest.approx(
+            [0.01, 0, 0, 0.01, 0, 1e-4])
     # Named but left out: the default.
     after = update(stub, vehicle, *OTHER_SETTINGS)
     assert after.settings == before.settings
@@ -791,8 +800,12 @@ def test_export_holds_the_whole_graph(stub, driven):
                 == pytest.approx(1.0 + node.index))
         assert 0.0 <= node.fraction < 1.0
         assert node.covariance.form == api.COVARIANCE_FORM_PLANAR_6
-        assert list(node.covariance.values) == pytest.approx(
-            [0.01, 0, 0, 0.01, 0, 1e-4])
+        # Claims that stay the same are carried on with the noise of a usual
+        # odometer: 0.1 degree per square root of a metre.
+        assert node.covariance.values[5] == pytest.approx(
+            1e-4 + math.radians(0.1) ** 2 * node.index)
+    assert list(nodes[0].covariance.values) == pytest.approx(
+        [0.01, 0, 0, 0.01, 0, 1e-4])
     consecutive = [(edge.from_index, edge.to_index) for edge in edges
                    if edge.kind == api.EDGE_KIND_CONSECUTIVE]
     assert consecutive == [(i, i + 1) for i in range(100)]

@@ -24,9 +24,9 @@ using ::testing::ElementsAre;
 using ::testing::IsEmpty;
 
 // What an odometry claims: its error is carried on, and each metre adds some.
-class Claims {
+class GrowingClaims {
  public:
-  explicit Claims(double position = 0.1, double heading = 0.01)
+  explicit GrowingClaims(double position = 0.1, double heading = 0.01)
       : xx_(position * position), yy_(xx_), hh_(heading * heading) {}
 
   void Step(double dx, double dy) {
@@ -71,7 +71,7 @@ class Stretches {
  public:
   // Begins anew, with small claims.
   Stretches& Restart(const std::vector<Pose>& poses) {
-    claims_ = Claims();
+    claims_ = GrowingClaims();
     restarted_at_ = samples_.size();
     return Send(poses);
   }
@@ -107,7 +107,7 @@ class Stretches {
     return *this;
   }
 
-  Claims claims_;
+  GrowingClaims claims_;
   std::size_t restarted_at_ = 0;
   std::pair<double, double> added_;
   std::vector<PoseSample> samples_;
@@ -204,17 +204,22 @@ TEST(FrameWatchTest, SeesClaimsThatFallAtAJump) {
   EXPECT_THAT(Sequences(Told(sent.samples())), ElementsAre(first.size() + 1));
 }
 
-TEST(FrameWatchTest, SeesClaimsThatFallWhereTheVehicleStands) {
-  // The odometry begins anew where it stands, in a frame that is turned.
+TEST(FrameWatchTest, ClaimsThatFallWhereThePoseGoesOnWereGivenUp) {
   const std::vector<Pose> first =
       Trip().Straight(250).Turn(180, 20).Straight(248).poses();
   const Stretches sent = Stretches().Restart(first).Restart(
       Trip(first.back()).Straight(100).poses());
-  const std::vector<NewFrame> told = Told(sent.samples());
-  ASSERT_EQ(told.size(), 1u);
-  // Nodes are 2 m apart, poses 1 m.
-  EXPECT_NEAR(static_cast<double>(told[0].sequence),
-              static_cast<double>(first.size() + 1), 2.0);
+  EXPECT_THAT(Told(sent.samples()), IsEmpty());
+  Drive drive((DriveSettings()));
+  const AppendResult result = drive.Append(sent.samples(), 1);
+  ASSERT_EQ(result.findings.size(), 1u);
+  EXPECT_EQ(result.findings[0].code, FindingCode::kCovariancesReset);
+  ASSERT_TRUE(result.findings[0].reset);
+  const ClaimsReset& reset = *result.findings[0].reset;
+  // The first pose behind stands where the last one before was.
+  EXPECT_EQ(reset.sequence, first.size() + 2);
+  EXPECT_GT(reset.before.meters, 5.0 * reset.after.meters);
+  EXPECT_GT(reset.before.radians, 2.0 * reset.after.radians);
 }
 
 TEST(FrameWatchTest, TellsOfAShortLeapOnce) {
@@ -318,8 +323,9 @@ TEST(FrameWatchTest, FollowsTheSettingsOfTheVehicle) {
   drive.Append(sent.samples(), 1);
   EXPECT_EQ(FramesIn(drive.findings()).size(), 1u);
   settings.search.correlation_model = CorrelationModel::kIndependent;
-  ASSERT_TRUE(drive.ChangeSettings(settings, 2).ok());
-  EXPECT_THAT(FramesIn(drive.findings()), IsEmpty());
+  Drive independent(settings);
+  independent.Append(sent.samples(), 1);
+  EXPECT_THAT(FramesIn(independent.findings()), IsEmpty());
 }
 
 TEST(FrameWatchTest, WhereClaimsDoNotGrowAtAllTheirFallIsNotTold) {

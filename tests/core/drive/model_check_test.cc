@@ -34,6 +34,8 @@ std::vector<Pose> ThereAndBack(double meters) {
       .poses();
 }
 
+constexpr double kMaxStep = 100.0;
+
 std::vector<PoseSample> Reckoned(std::mt19937_64& random, double meters) {
   const oracle::Noise noise;
   return oracle::WithCovariances(
@@ -62,28 +64,28 @@ std::vector<PoseSample> Fixes(std::mt19937_64& random, double meters,
 }
 
 ModelCheck CheckOf(const std::vector<PoseSample>& samples) {
-  ModelCheck check(100.0);
-  for (const PoseSample& sample : samples) check.Look(sample);
+  ModelCheck check;
+  for (const PoseSample& sample : samples) check.Look(sample, kMaxStep);
   return check;
 }
 
 TEST(ModelCheckTest, HonestVehiclesOfEveryModelHaveNoFinding) {
   std::mt19937_64 random = SeededRandom();
   for (int trial = 0; trial < 20; ++trial) {
-    ModelCheck reckoning(100.0);
+    ModelCheck reckoning;
     for (const PoseSample& sample : Reckoned(random, 4000.0)) {
-      reckoning.Look(sample);
+      reckoning.Look(sample, kMaxStep);
       EXPECT_FALSE(reckoning.Judge(CorrelationModel::kDeadReckoning));
     }
     const double sigma = std::exp(Uniform(random, std::log(0.1), std::log(20)));
-    ModelCheck fixes(100.0);
+    ModelCheck fixes;
     for (const PoseSample& sample : Fixes(random, 4000.0, 8, sigma, 0.0)) {
-      fixes.Look(sample);
+      fixes.Look(sample, kMaxStep);
       EXPECT_FALSE(fixes.Judge(CorrelationModel::kIndependent));
     }
-    ModelCheck correlated(100.0);
+    ModelCheck correlated;
     for (const PoseSample& sample : Fixes(random, 4000.0, 8, sigma, 0.97)) {
-      correlated.Look(sample);
+      correlated.Look(sample, kMaxStep);
       EXPECT_FALSE(correlated.Judge(CorrelationModel::kCorrelatedFixes));
     }
   }
@@ -167,10 +169,10 @@ TEST(ModelCheckTest, JumpsTellNothing) {
 TEST(ModelCheckTest, StretchesAreAsLongAsTheirRootedLengthSays) {
   std::mt19937_64 random = SeededRandom();
   const double limit = ModelCheck::kStretchMeters;
-  ModelCheck check(100.0);
+  ModelCheck check;
   PoseSample start;
   start.covariance(0, 0) = start.covariance(1, 1) = 1.0;
-  check.Look(start);
+  check.Look(start, kMaxStep);
   const double kept = 1.0 - 1.0 / ModelCheck::kLastStretches;
   double counted = 0.0;
   double growing = 0.0;
@@ -186,7 +188,7 @@ TEST(ModelCheckTest, StretchesAreAsLongAsTheirRootedLengthSays) {
     }
     // Every other stretch grows.
     sample.covariance(0, 0) = sample.covariance(1, 1) = i % 2 == 0 ? 2.0 : 0.5;
-    check.Look(sample);
+    check.Look(sample, kMaxStep);
     if (std::hypot(sample.pose.x, sample.pose.y) < limit) {
       ++too_short;
       continue;
@@ -195,7 +197,7 @@ TEST(ModelCheckTest, StretchesAreAsLongAsTheirRootedLengthSays) {
     growing = kept * growing + (i % 2 == 0 ? 1.0 : 0.0);
     // The next stretch begins at the origin again.
     check.Skip();
-    check.Look(start);
+    check.Look(start, kMaxStep);
   }
   EXPECT_GT(too_short, 1000);
   EXPECT_LT(too_short, 9000);
@@ -209,7 +211,8 @@ TEST(ModelCheckTest, AFindingIsGoneKilometresAfterItsCause) {
   std::mt19937_64 random = SeededRandom();
   ModelCheck check = CheckOf(Fixes(random, 3000.0, 8, 3.0, 0.0));
   EXPECT_TRUE(check.Judge(CorrelationModel::kDeadReckoning));
-  for (const PoseSample& sample : Reckoned(random, 3000.0)) check.Look(sample);
+  for (const PoseSample& sample : Reckoned(random, 3000.0))
+    check.Look(sample, kMaxStep);
   EXPECT_FALSE(check.Judge(CorrelationModel::kDeadReckoning));
 }
 
@@ -236,11 +239,32 @@ TEST(ModelCheckTest, TheDriveTellsAFindingOnceAndKeepsIt) {
   EXPECT_EQ(at_once.findings()[0].growing, drive.findings()[0].growing);
   EXPECT_EQ(at_once.findings()[0].smoother, drive.findings()[0].smoother);
   settings.search.correlation_model = CorrelationModel::kIndependent;
-  EXPECT_TRUE(at_once.ChangeSettings(settings, 2).ok());
-  EXPECT_EQ(at_once.findings()[0].code, FindingCode::kErrorsCorrelated);
+  Drive independent(settings);
+  independent.Append(samples, 1);
+  EXPECT_EQ(independent.findings()[0].code, FindingCode::kErrorsCorrelated);
   settings.search.correlation_model = CorrelationModel::kCorrelatedFixes;
-  EXPECT_TRUE(at_once.ChangeSettings(settings, 3).ok());
-  EXPECT_TRUE(at_once.findings().empty());
+  EXPECT_TRUE(independent.ChangeSettings(settings, 2).ok());
+  EXPECT_TRUE(independent.findings().empty());
+}
+
+TEST(ModelCheckTest, ClaimsOfReckoningWithoutTheirCrossTermsHaveNoLever) {
+  std::mt19937_64 random = SeededRandom();
+  std::vector<PoseSample> samples = Reckoned(random, 3000.0);
+  for (PoseSample& sample : samples) {
+    sample.covariance(0, 3) = sample.covariance(1, 3) = 0.0;
+  }
+  const ModelCheck check = CheckOf(samples);
+  EXPECT_THAT(check.Judge(CorrelationModel::kDeadReckoning),
+              Optional(FindingCode::kCovariancesWithoutLever));
+  // A filter says itself how its errors go on.
+  EXPECT_FALSE(check.Judge(CorrelationModel::kFilter));
+  // Half of them is not nearly all.
+  const std::vector<PoseSample> with_lever = Reckoned(random, 3000.0);
+  for (std::size_t i = 0; i < samples.size(); i += 2) {
+    samples[i].covariance = with_lever[i].covariance;
+  }
+  EXPECT_NE(CheckOf(samples).Judge(CorrelationModel::kDeadReckoning),
+            std::optional<FindingCode>(FindingCode::kCovariancesWithoutLever));
 }
 
 }  // namespace

@@ -13,7 +13,7 @@
 namespace revisit::core {
 namespace {
 
-constexpr CorrelationModel kModels[] = {
+constexpr CorrelationModel kAllModels[] = {
     CorrelationModel::kDeadReckoning, CorrelationModel::kIndependent,
     CorrelationModel::kFilter, CorrelationModel::kCorrelatedFixes};
 
@@ -30,12 +30,12 @@ PathPair<4> RandomPair(std::mt19937_64& random) {
 
 TEST(NoiseModelTest, EveryModelHasARowOfItsOwn) {
   std::set<const NoiseModel*> rows;
-  for (const CorrelationModel model : kModels) rows.insert(&NoiseOf(model));
-  EXPECT_EQ(rows.size(), std::size(kModels));
+  for (const CorrelationModel model : kAllModels) rows.insert(&NoiseOf(model));
+  EXPECT_EQ(rows.size(), std::size(kAllModels));
 }
 
 TEST(NoiseModelTest, TheParameterCountsOnlyWhereErrorsDecorrelateOverTheWay) {
-  for (const CorrelationModel model : kModels) {
+  for (const CorrelationModel model : kAllModels) {
     EXPECT_EQ(Correlation(model, 10.0) != Correlation(model, 20.0),
               NoiseOf(model).decorrelates_over_way);
     EXPECT_EQ(Correlation(model, 10.0), Correlation(model, 10.0));
@@ -47,7 +47,7 @@ TEST(NoiseModelTest, TheParameterCountsOnlyWhereErrorsDecorrelateOverTheWay) {
 // Cov(e_j - e_i) = S_i + S_j - C - C^T with C = Cov(e_j, e_i).
 TEST(NoiseModelTest, DifferenceAndCrossCovarianceAreOfOneProcess) {
   std::mt19937_64 random = SeededRandom();
-  for (const CorrelationModel model : kModels) {
+  for (const CorrelationModel model : kAllModels) {
     for (int trial = 0; trial < 20; ++trial) {
       const PathPair<4> pair = RandomPair(random);
       const StateMatrix<4> cross = CrossCovariance<4>(model, pair);
@@ -64,7 +64,7 @@ TEST(NoiseModelTest, DifferenceAndCrossCovarianceAreOfOneProcess) {
 
 TEST(NoiseModelTest, GammaHasTheFormThatTheRowSays) {
   std::mt19937_64 random = SeededRandom();
-  for (const CorrelationModel model : kModels) {
+  for (const CorrelationModel model : kAllModels) {
     const NoiseModel& noise = NoiseOf(model);
     for (int trial = 0; trial < 20; ++trial) {
       const PathPair<4> pair = RandomPair(random);
@@ -93,7 +93,7 @@ TEST(NoiseModelTest, GammaHasTheFormThatTheRowSays) {
 
 TEST(NoiseModelTest, DriftAndJitterAreAllOfAStep) {
   std::mt19937_64 random = SeededRandom();
-  for (const CorrelationModel model : kModels) {
+  for (const CorrelationModel model : kAllModels) {
     const StateMatrix<4> step = StepCovariance<4>(model, RandomPair(random));
     const StepNoise<4> noise = SplitStepCovariance<4>(model, step);
     EXPECT_EQ(noise.drift + noise.jitter, step);

@@ -210,7 +210,7 @@ TEST(SearchRelativeTest, TwoPlacesAsGoodAreAmbiguous) {
   for (std::size_t i = samples.size() - 501; i < samples.size(); ++i) {
     for (int k : {0, 1}) samples[i].covariance(k, k) = 1500.0 * 1500.0;
   }
-  const Drive drive = Driven(samples);
+  const Drive drive = Driven(samples, IndependentSettings());
   SearchOptions options;
   options.acceptance_probability = 0.6;
   const CandidateSet set = Find(drive, options);
@@ -319,14 +319,13 @@ TEST(SearchRelativeTest, AnEndAtTheEdgeOfTheGateNeedsAShapeThatSpeaksForIt) {
 TEST(SearchRelativeTest, NothingIsInventedWhereAllIsIllConditioned) {
   // Dead reckoning cannot become more certain: where it claims to, the
   // covariance of every difference is indefinite.
-  std::vector<PoseSample> samples = oracle::WithCovariances(Ring(1600.0), {});
-  for (std::size_t i = 0; i < samples.size(); ++i) {
-    for (int k : {0, 1, 3}) {
-      samples[i].covariance(k, k) = i < 1460 ? 1e4 : 1e-4;
-      for (int m : {0, 1, 3}) {
-        if (m != k) samples[i].covariance(k, m) = 0.0;
-      }
-    }
+  std::vector<Pose> poses = Ring(1600.0);
+  // A step that could be one back by as much as was uncertain.
+  constexpr std::ptrdiff_t kCertain = 1460;
+  poses.erase(poses.begin() + kCertain, poses.begin() + kCertain + 60);
+  std::vector<PoseSample> samples = WithDeviations(poses, 100.0, 100.0);
+  for (std::size_t i = kCertain; i < samples.size(); ++i) {
+    for (int k : {0, 1, 3}) samples[i].covariance(k, k) = 1e-4;
   }
   Drive drive({});
   drive.Append(samples, 1);

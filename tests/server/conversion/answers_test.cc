@@ -536,6 +536,27 @@ TEST(AnswerTest, NewFrameIsMendedByTheStartOfARecording) {
                     HasSubstr("with recording_start (revisit: --recording)")));
 }
 
+TEST(AnswerTest, ClaimsThatAreNoneOfReckoningAreSaidToBeCarriedOn) {
+  EXPECT_THAT(MessageOf(FindingOf(core::FindingCode::kCovariancesWithoutLever,
+                                  1.0, {})),
+              AllOf(HasSubstr("with their cross terms"),
+                    HasSubstr("revisit: --uncertainty model")));
+  core::Finding finding;
+  finding.code = core::FindingCode::kCovariancesReset;
+  finding.reset = core::ClaimsReset{501, {31.4, 0.052}, {0.1, 0.01}};
+  EXPECT_THAT(
+      MessageOf(finding),
+      AllOf(HasSubstr("begun anew at sequence 501, but the pose went on"),
+            HasSubstr("within 0.1 m and 0.01 rad after 31 m and 0.052 rad"),
+            HasSubstr("revisit: --recording")));
+  v1::Warning warning;
+  EncodeFindingWarning(finding, 640, &warning);
+  EXPECT_EQ(warning.metadata().at("finding"), "FINDING_CODE_COVARIANCES_RESET");
+  EXPECT_EQ(warning.metadata().at("sequence"), "501");
+  EXPECT_EQ(warning.metadata().at("before_meters"), "31.4");
+  EXPECT_EQ(warning.metadata().at("after_radians"), "0.01");
+}
+
 TEST(AnswerTest, AcknowledgementWarnsOfAFinding) {
   Acknowledgement acknowledgement;
   acknowledgement.durable_sequence = 640;

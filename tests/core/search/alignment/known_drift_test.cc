@@ -17,16 +17,16 @@
 namespace revisit::core {
 namespace {
 
-struct Drive {
+struct ClaimedDrive {
   std::vector<Pose> path;
   PoseGraph graph;
 };
 
 // A drive by dead reckoning, with the covariances of its chain of errors.
 template <int D>
-std::pair<Drive, oracle::ErrorChain> RandomDrive(std::mt19937_64& random,
-                                                 int nodes) {
-  Drive drive;
+std::pair<ClaimedDrive, oracle::ErrorChain> RandomDrive(std::mt19937_64& random,
+                                                        int nodes) {
+  ClaimedDrive drive;
   Pose pose = RandomPose(random, 50.0);
   for (int i = 0; i < nodes; ++i) {
     drive.path.push_back(pose);

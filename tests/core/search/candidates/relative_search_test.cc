@@ -22,6 +22,7 @@ class RelativeSearchTest : public ::testing::Test {
   RelativeSearchTest() : drive_(DriveSettings()) {
     options_.exhaustive = true;
     options_.max_candidates = 100;
+    options_.candidate_separation_meters = 60.0;
     drive_.Append(WithDeviations(Ring(4'000.0), 5.0, 0.1), 1);
     query_ = drive_.graph().size() - 1;
   }

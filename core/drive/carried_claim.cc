@@ -1,0 +1,155 @@
+#include "core/drive/carried_claim.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "core/geometry/quadratic_form.h"
+#include "core/geometry/state_matrix.h"
+#include "core/noise/dead_reckoning.h"
+
+namespace revisit::core {
+namespace {
+
+// Correlations of heading and position below this are none.
+constexpr double kNoCorrelation = 1e-3;
+// A covariance of heading and position that is less than this share of what
+// would be carried on was left out, and not taken back by other noise.
+constexpr double kLeftOut = 0.1;
+// Claims fall that fall to less than a quarter of their variances, and steps of
+// 20 m may be leaps: frame_watch.h has the same.
+constexpr double kFall = 4.0;
+constexpr double kLeapMeters = 20.0;
+// A step that is shorter than this share of the standard deviation that is
+// given up takes no error back: a normal error in the plane is as small once in
+// thirty times.
+constexpr double kUnmoved = 0.25;
+
+// Noise of the position is at most so many times its least variance. A claim
+// that grows with the square of the way, or as it would without turns, is not
+// noise of single steps, which would never leave the path again.
+constexpr double kMostOfPosition = 4.0;
+
+double PositionVariance(const Covariance& covariance) {
+  return covariance(0, 0) + covariance(1, 1);
+}
+
+double MetersBetween(const ClaimedPose& a, const ClaimedPose& b) {
+  return std::hypot(b.pose.x - a.pose.x, b.pose.y - a.pose.y);
+}
+
+// Whether the variances of position and heading both fall. Where the pose
+// leaps, the heading's need not, since a compass lets it stay.
+bool Falls(const ClaimedPose& before, const ClaimedPose& after) {
+  if (!(kFall * PositionVariance(after.claim) <
+        PositionVariance(before.claim))) {
+    return false;
+  }
+  const double was = before.claim(3, 3);
+  const double is = after.claim(3, 3);
+  return kFall * is < was ||
+         (is <= was && MetersBetween(before, after) >= kLeapMeters);
+}
+
+// The covariance that a straight step adds. An error of the heading that comes
+// evenly over its length swings half of it, on average.
+template <int D>
+StateMatrix<D> NoiseOfStep(const Pose& from, const Pose& to, double along,
+                           double across, double heading) {
+  const double meters = std::hypot(to.x - from.x, to.y - from.y);
+  StateMatrix<D> noise = StateMatrix<D>::Zero();
+  noise(0, 0) = along;
+  noise(1, 1) = across + heading * meters * meters / 3.0;
+  noise(1, D - 1) = noise(D - 1, 1) = 0.5 * heading * meters;
+  noise(D - 1, D - 1) = heading;
+  return Turned<D>(noise, std::atan2(to.y - from.y, to.x - from.x));
+}
+
+// What the step has added if its claims say so by their variances alone.
+template <int D>
+StateMatrix<D> NoiseByVariances(const ClaimedPose& before,
+                                const ClaimedPose& after,
+                                const StateMatrix<D>& carried) {
+  constexpr ReckoningNoise kUsual = kUsualReckoning;
+  constexpr double kAlong = kUsual.along * kUsual.along;
+  constexpr double kAcross = kUsual.across * kUsual.across;
+  const double meters = MetersBetween(before, after);
+  const double usual_heading = kUsual.heading * kUsual.heading * meters;
+  const double grown = after.claim(3, 3) - before.claim(3, 3);
+  const double heading = grown == 0.0 ? usual_heading : std::max(0.0, grown);
+  // An odometer that is better than usual in heading may be so in position.
+  const double share = heading < usual_heading ? heading / usual_heading : 1.0;
+  const double least = share * (kAlong + kAcross) * meters;
+  const double missing =
+      PositionVariance(after.claim) - (carried(0, 0) + carried(1, 1));
+  const double position = std::clamp(missing, least, kMostOfPosition * least);
+  constexpr double kAhead = kAlong / (kAlong + kAcross);
+  StateMatrix<D> noise =
+      NoiseOfStep<D>(before.pose, after.pose, kAhead * position,
+                     (1.0 - kAhead) * position, heading);
+  if constexpr (D == 4) {
+    noise(2, 2) = std::max(0.0, after.claim(2, 2) - before.claim(2, 2));
+  }
+  return noise;
+}
+
+template <int D>
+bool IsPositiveDefinite(const StateMatrix<D>& matrix) {
+  return Evaluate<D>(matrix, StateVector<D>::Zero()).has_value();
+}
+
+template <int D>
+std::optional<Covariance> CarriedIn(const ClaimedPose& before,
+                                    const Covariance* in_force,
+                                    const ClaimedPose& after) {
+  const StateMatrix<D> claimed_before = ToMatrix<D>(before.claim);
+  const StateMatrix<D> carried =
+      Swung<D>(in_force == nullptr ? claimed_before : ToMatrix<D>(*in_force),
+               before.pose, after.pose);
+  const auto with = [&carried](const StateMatrix<D>& noise) {
+    return ToCovariance<D>(Symmetric<D>(carried + noise));
+  };
+  const bool is_given_up = IsGivenUp(before, after);
+  if (!is_given_up && Falls(before, after)) return std::nullopt;
+  if (LacksLever(after.claim, carried(0, D - 1), carried(1, D - 1))) {
+    return with(NoiseByVariances<D>(before, after, carried));
+  }
+  if (is_given_up) return with(StateMatrix<D>::Zero());
+  if (in_force == nullptr) return std::nullopt;
+  const StateMatrix<D> claimed = ToMatrix<D>(after.claim);
+  if (IsPositiveDefinite<D>(claimed - carried)) return std::nullopt;
+  const StateMatrix<D> noise =
+      claimed - Swung<D>(claimed_before, before.pose, after.pose);
+  return with(IsPositiveDefinite<D>(noise)
+                  ? noise
+                  : StateMatrix<D>(StateMatrix<D>::Zero()));
+}
+
+}  // namespace
+
+bool LacksLever(const Covariance& claim, double carried_xh, double carried_yh) {
+  const double xh = claim(0, 3);
+  const double yh = claim(1, 3);
+  const double squared = xh * xh + yh * yh;
+  return squared <= kNoCorrelation * kNoCorrelation * PositionVariance(claim) *
+                        claim(3, 3) &&
+         squared < kLeftOut * kLeftOut *
+                       (carried_xh * carried_xh + carried_yh * carried_yh);
+}
+
+bool IsGivenUp(const ClaimedPose& before, const ClaimedPose& after) {
+  if (!Falls(before, after)) return false;
+  const double given_up =
+      PositionVariance(before.claim) - PositionVariance(after.claim);
+  const double meters = MetersBetween(before, after);
+  return meters * meters < kUnmoved * kUnmoved * 0.5 * given_up;
+}
+
+std::optional<Covariance> CarriedClaim(StateSpace space,
+                                       const ClaimedPose& before,
+                                       const Covariance* in_force,
+                                       const ClaimedPose& after) {
+  return space == StateSpace::kPlanar ? CarriedIn<3>(before, in_force, after)
+                                      : CarriedIn<4>(before, in_force, after);
+}
+
+}  // namespace revisit::core
