@@ -118,7 +118,8 @@ TEST(CarriedClaimTest, ConstantClaimsGrowAsAUsualOdometerDoes) {
 
 TEST(CarriedClaimTest, AShareOfTheWayIsNoNoiseOfSteps) {
   // 1 % of the way in position, and a gyro of 0.1 degree in heading.
-  std::vector<PoseSample> sent = WithDeviations(Road(8000.0), 0.1, 0.01);
+  // On a way that leads back again and again, where such claims grow on.
+  std::vector<PoseSample> sent = WithDeviations(Ring(8000.0), 0.1, 0.01);
   for (std::size_t i = 0; i < sent.size(); ++i) {
     const double meters = static_cast<double>(i);
     Covariance& claim = sent[i].covariance;
