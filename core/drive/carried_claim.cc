@@ -68,14 +68,15 @@ StateMatrix<D> NoiseOfStep(const Pose& from, const Pose& to, double along,
 template <int D>
 StateMatrix<D> NoiseByVariances(const ClaimedPose& before,
                                 const ClaimedPose& after,
+                                double greatest_heading,
                                 const StateMatrix<D>& carried) {
   constexpr ReckoningNoise kUsual = kUsualReckoning;
   constexpr double kAlong = kUsual.along * kUsual.along;
   constexpr double kAcross = kUsual.across * kUsual.across;
   const double meters = MetersBetween(before, after);
   const double usual_heading = kUsual.heading * kUsual.heading * meters;
-  const double grown = after.claim(3, 3) - before.claim(3, 3);
-  const double heading = grown == 0.0 ? usual_heading : std::max(0.0, grown);
+  const double grown = after.claim(3, 3) - greatest_heading;
+  const double heading = grown > 0.0 ? grown : usual_heading;
   // An odometer that is better than usual in heading may be so in position.
   const double share = heading < usual_heading ? heading / usual_heading : 1.0;
   const double least = share * (kAlong + kAcross) * meters;
@@ -98,20 +99,28 @@ bool IsPositiveDefinite(const StateMatrix<D>& matrix) {
 }
 
 template <int D>
-std::optional<Covariance> CarriedIn(const ClaimedPose& before,
-                                    const Covariance* in_force,
-                                    const ClaimedPose& after) {
+std::optional<CarriedCovariance> CarriedIn(const ClaimedPose& before,
+                                           const CarriedCovariance* in_force,
+                                           const ClaimedPose& after) {
   const StateMatrix<D> claimed_before = ToMatrix<D>(before.claim);
-  const StateMatrix<D> carried =
-      Swung<D>(in_force == nullptr ? claimed_before : ToMatrix<D>(*in_force),
-               before.pose, after.pose);
-  const auto with = [&carried](const StateMatrix<D>& noise) {
-    return ToCovariance<D>(Symmetric<D>(carried + noise));
+  const StateMatrix<D> carried = Swung<D>(
+      in_force == nullptr ? claimed_before : ToMatrix<D>(in_force->covariance),
+      before.pose, after.pose);
+  const double greatest_heading =
+      in_force == nullptr ? before.claim(3, 3) : in_force->greatest_heading;
+  const auto with = [&](const StateMatrix<D>& noise) {
+    return CarriedCovariance{ToCovariance<D>(Symmetric<D>(carried + noise)),
+                             std::max(greatest_heading, after.claim(3, 3))};
   };
   const bool is_given_up = IsGivenUp(before, after);
-  if (!is_given_up && Falls(before, after)) return std::nullopt;
+  // Claims that do not count as they are may go up and down without any reason.
+  const bool may_have_fallen =
+      in_force == nullptr || MetersBetween(before, after) >= kLeapMeters;
+  if (!is_given_up && may_have_fallen && Falls(before, after)) {
+    return std::nullopt;
+  }
   if (LacksLever(after.claim, carried(0, D - 1), carried(1, D - 1))) {
-    return with(NoiseByVariances<D>(before, after, carried));
+    return with(NoiseByVariances<D>(before, after, greatest_heading, carried));
   }
   if (is_given_up) return with(StateMatrix<D>::Zero());
   if (in_force == nullptr) return std::nullopt;
@@ -144,10 +153,10 @@ bool IsGivenUp(const ClaimedPose& before, const ClaimedPose& after) {
   return meters * meters < kUnmoved * kUnmoved * 0.5 * given_up;
 }
 
-std::optional<Covariance> CarriedClaim(StateSpace space,
-                                       const ClaimedPose& before,
-                                       const Covariance* in_force,
-                                       const ClaimedPose& after) {
+std::optional<CarriedCovariance> CarriedClaim(StateSpace space,
+                                              const ClaimedPose& before,
+                                              const CarriedCovariance* in_force,
+                                              const ClaimedPose& after) {
   return space == StateSpace::kPlanar ? CarriedIn<3>(before, in_force, after)
                                       : CarriedIn<4>(before, in_force, after);
 }

@@ -17,11 +17,12 @@
 // From there on the covariance before is carried on by dead reckoning, and the
 // claims say how much noise each step adds:
 //
-// - Heading: by how much its variance has grown.
+// - Heading: by how much its variance exceeds all that was claimed before.
+//   Where it does not, as where it stays the same or goes up and down, nobody
+//   has claimed anything of the step: then it adds that of kUsualReckoning.
 // - Position: as much as its variance is larger than what was carried on,
-//   which is all that the noise of the headings has made of it.
-// - Where a variance stays as it is, nobody has claimed anything of the step:
-//   then it adds kUsualReckoning.
+//   which is all that the noise of the headings has made of it; at least what
+//   goes with the noise of the heading, and at most four times that.
 //
 // The first claim of each recording counts as it is. Claims that become those
 // of dead reckoning count again once they are no surer than what was carried.
@@ -61,14 +62,22 @@ bool LacksLever(const Covariance& claim, double carried_xh, double carried_yh);
 // Whether the claim of the pose before was given up on the step to this one.
 bool IsGivenUp(const ClaimedPose& before, const ClaimedPose& after);
 
+// A covariance that counts in place of a claim.
+struct CarriedCovariance {
+  Covariance covariance;
+  // The greatest variance of the heading that was claimed since claims have not
+  // counted.
+  double greatest_heading = 0.0;
+};
+
 // The covariance in force after a step from a pose where `in_force` was; null
 // stands for the claim itself. Nothing, again for the claim itself, where that
 // can be one of dead reckoning. REQUIRES: both poses are of one recording;
 // covariances are positive definite.
-std::optional<Covariance> CarriedClaim(StateSpace space,
-                                       const ClaimedPose& before,
-                                       const Covariance* in_force,
-                                       const ClaimedPose& after);
+std::optional<CarriedCovariance> CarriedClaim(StateSpace space,
+                                              const ClaimedPose& before,
+                                              const CarriedCovariance* in_force,
+                                              const ClaimedPose& after);
 
 }  // namespace revisit::core
 

@@ -80,7 +80,7 @@ std::optional<Jump> DistanceResampler::Add(const PoseSample& sample,
     last_sequence_ = sample.sequence;
     SetLastStamp(sample.stamp_ns);
   } else {
-    const std::optional<Covariance> in_force = InForce(sample);
+    const std::optional<CarriedCovariance> in_force = InForce(sample);
     // Fraction of this step at which the last node lies.
     double reached = 0.0;
     while (true) {
@@ -95,8 +95,7 @@ std::optional<Jump> DistanceResampler::Add(const PoseSample& sample,
         node_to_anchor_ =
             PartialTransition(anchor_to_last_, reached, f) * node_to_anchor_;
       }
-      AddNode(sample, in_force.value_or(sample.covariance), f,
-              /*starts_segment=*/false, graph);
+      AddNode(sample, in_force, f, /*starts_segment=*/false, graph);
       reached = f;
     }
     if (options_.carry_transitions && reached < 1.0) {
@@ -181,7 +180,7 @@ bool DistanceResampler::Load(const PoseGraph& graph,
          is_sound(anchor_->claim) &&
          (!carried_ || (options_.carry_claims && carried_->counts <= 1 &&
                         carried_->has_reset <= 1)) &&
-         (in_force() == nullptr || is_sound(*in_force())) &&
+         (in_force() == nullptr || is_sound(in_force()->covariance)) &&
          segment_nodes_ > 0 && segment_nodes_ <= graph.size() &&
          segment_start_meters_ >= 0.0 &&
          std::abs(last_mark - last.travelled_meters) <= 1e-3 * spacing &&
@@ -191,20 +190,21 @@ bool DistanceResampler::Load(const PoseGraph& graph,
          travelled_meters_ <= LongestPath(spacing);
 }
 
-std::optional<Covariance> DistanceResampler::InForce(
+std::optional<CarriedCovariance> DistanceResampler::InForce(
     const PoseSample& sample) const {
   if (!options_.carry_claims) return std::nullopt;
   return CarriedClaim(options_.state_space, *anchor_, in_force(),
                       {sample.pose, sample.covariance});
 }
 
-void DistanceResampler::SetAnchor(const PoseSample& sample,
-                                  const std::optional<Covariance>& in_force) {
+void DistanceResampler::SetAnchor(
+    const PoseSample& sample,
+    const std::optional<CarriedCovariance>& in_force) {
   const ClaimedPose now{sample.pose, sample.covariance};
   if (in_force && !carried_) carried_ = std::make_unique<Carried>();
   if (carried_) {
     carried_->counts = in_force ? 1 : 0;
-    carried_->covariance = in_force.value_or(Covariance());
+    carried_->in_force = in_force.value_or(CarriedCovariance());
   }
   if (in_force && IsGivenUp(*anchor_, now)) {
     carried_->has_reset = 1;
@@ -217,22 +217,23 @@ void DistanceResampler::SetAnchor(const PoseSample& sample,
   SetLastStamp(sample.stamp_ns);
 }
 
-void DistanceResampler::StartSegment(const PoseSample& sample,
-                                     const std::optional<Covariance>& in_force,
-                                     PoseGraph* graph) {
+void DistanceResampler::StartSegment(
+    const PoseSample& sample, const std::optional<CarriedCovariance>& in_force,
+    PoseGraph* graph) {
   SetAnchor(sample, in_force);
   has_skipped_ = false;
   segment_start_meters_ = travelled_meters_;
   segment_nodes_ = 0;
-  AddNode(sample, in_force.value_or(sample.covariance), 1.0,
-          /*starts_segment=*/true, graph);
+  AddNode(sample, in_force, 1.0, /*starts_segment=*/true, graph);
 }
 
 // Adds the node at fraction f in (0, 1] of the step from the anchor to this
 // sample.
-void DistanceResampler::AddNode(const PoseSample& sample,
-                                const Covariance& in_force, double f,
-                                bool starts_segment, PoseGraph* graph) {
+void DistanceResampler::AddNode(
+    const PoseSample& sample, const std::optional<CarriedCovariance>& in_force,
+    double f, bool starts_segment, PoseGraph* graph) {
+  const Covariance& covariance =
+      in_force ? in_force->covariance : sample.covariance;
   Node node;
   node.travelled_meters =
       segment_start_meters_ +
@@ -242,7 +243,7 @@ void DistanceResampler::AddNode(const PoseSample& sample,
     node.stamp_ns = sample.stamp_ns;
     node.pose = sample.pose;
     node.pose.heading = WrapHeading(sample.pose.heading);
-    node.covariance = in_force;
+    node.covariance = covariance;
   } else {
     // While the vehicle stood still, only time passed: the step begins where
     // the anchor is, but at the time of the last pose.
@@ -261,8 +262,9 @@ void DistanceResampler::AddNode(const PoseSample& sample,
       }
     }
     node.pose = Interpolate(anchor_->pose, sample.pose, f);
+    const CarriedCovariance* const before = this->in_force();
     node.covariance = Interpolate(
-        this->in_force() ? *this->in_force() : anchor_->claim, in_force, f);
+        before == nullptr ? anchor_->claim : before->covariance, covariance, f);
   }
   if (options_.state_space == StateSpace::kPlanar) {
     // z is not part of the state: nothing may depend on what was given for it.

@@ -70,7 +70,7 @@ class DistanceResampler {
   // What is in force at the anchor in place of its claim, if that does not
   // count, and the last claims that were given up, if any were.
   struct Carried {
-    Covariance covariance;
+    CarriedCovariance in_force;
     std::uint64_t counts = 0;
     std::uint64_t has_reset = 0;
     ClaimsReset reset;
@@ -78,10 +78,10 @@ class DistanceResampler {
 
   // The covariance in force at a sample that follows the anchor in its
   // recording; nothing where that is its claim.
-  std::optional<Covariance> InForce(const PoseSample& sample) const;
+  std::optional<CarriedCovariance> InForce(const PoseSample& sample) const;
   // Null where that is its claim.
-  const Covariance* in_force() const {
-    return carried_ && carried_->counts != 0 ? &carried_->covariance : nullptr;
+  const CarriedCovariance* in_force() const {
+    return carried_ && carried_->counts != 0 ? &carried_->in_force : nullptr;
   }
   std::optional<std::int64_t> last_stamp_ns() const {
     return has_last_stamp_ ? std::optional<std::int64_t>(last_stamp_ns_)
@@ -92,11 +92,12 @@ class DistanceResampler {
     last_stamp_ns_ = stamp_ns.value_or(0);
   }
   void SetAnchor(const PoseSample& sample,
-                 const std::optional<Covariance>& in_force);
+                 const std::optional<CarriedCovariance>& in_force);
   void StartSegment(const PoseSample& sample,
-                    const std::optional<Covariance>& in_force,
+                    const std::optional<CarriedCovariance>& in_force,
                     PoseGraph* graph);
-  void AddNode(const PoseSample& sample, const Covariance& in_force,
+  void AddNode(const PoseSample& sample,
+               const std::optional<CarriedCovariance>& in_force,
                double fraction, bool starts_segment, PoseGraph* graph);
 
   ResamplerOptions options_;

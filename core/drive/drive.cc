@@ -311,13 +311,14 @@ std::shared_ptr<const MeasuredLoop> Drive::Impl::InForce(
     return CarriedClaim(settings.state_space, {node.pose, node.covariance},
                         nullptr, {estimate.pose, estimate.covariance});
   };
-  const std::optional<Covariance> of_query = carried(measured->query, query);
-  const std::optional<Covariance> of_matched =
+  const std::optional<CarriedCovariance> of_query =
+      carried(measured->query, query);
+  const std::optional<CarriedCovariance> of_matched =
       carried(measured->matched, matched);
   if (!of_query && !of_matched) return measured;
   auto in_force = std::make_shared<MeasuredLoop>(*measured);
-  if (of_query) in_force->query.covariance = *of_query;
-  if (of_matched) in_force->matched.covariance = *of_matched;
+  if (of_query) in_force->query.covariance = of_query->covariance;
+  if (of_matched) in_force->matched.covariance = of_matched->covariance;
   return in_force;
 }
 

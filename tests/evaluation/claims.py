@@ -13,6 +13,7 @@ of
   isotropic   the mean variance of x and y for both, likewise
   share       1 % of the way in position, beside the propagated heading
   constant    1 m and 0.1 rad all along
+  up-and-down the same, but each variance times e^(0.6 n), n normal, at each pose
   begun-anew  propagated, but begun again at the start's each kilometre
   wheel       propagated; and each step from the middle of the way on is 1 % longer
 
@@ -35,6 +36,7 @@ SHARE = 0.01
 CONSTANT = np.diag([1.0, 1.0, 0.1 ** 2])
 BEGUN_ANEW_METERS = 1000.0
 WHEEL = 1.01
+UP_AND_DOWN = 0.6
 POSE = ("est_x", "est_y", "est_yaw")
 ENTRIES = {"pxx": (0, 0), "pxy": (0, 1), "pxt": (0, 2), "pyy": (1, 1),
            "pyt": (1, 2), "ptt": (2, 2)}
@@ -101,6 +103,12 @@ def constant(poses):
     return np.broadcast_to(CONSTANT, (len(poses), 3, 3))
 
 
+def up_and_down(poses):
+    rng = np.random.default_rng(len(poses))
+    factors = np.exp(UP_AND_DOWN * rng.normal(size=(len(poses), 3)))
+    return np.array([CONSTANT * np.diag(each) for each in factors])
+
+
 def with_worn_wheel(poses):
     """The estimates of an odometer whose wheels wear off half-way."""
     way = way_of(poses)
@@ -112,7 +120,7 @@ def with_worn_wheel(poses):
 
 
 SHAPES = {"propagated": propagated, "diagonal": diagonal, "isotropic": isotropic,
-          "share": share, "constant": constant,
+          "share": share, "constant": constant, "up-and-down": up_and_down,
           "begun-anew": lambda poses: propagated(poses, BEGUN_ANEW_METERS),
           "wheel": propagated}
 

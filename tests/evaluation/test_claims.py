@@ -58,7 +58,8 @@ def test_errors_that_are_drawn_have_the_propagated_covariance(drive):
     assert np.cov(whitened) == pytest.approx(np.eye(3), abs=0.1)
 
 
-@pytest.mark.parametrize("shape", ["diagonal", "isotropic", "share", "constant"])
+@pytest.mark.parametrize("shape", ["diagonal", "isotropic", "share", "constant",
+                                   "up-and-down"])
 def test_drivers_leave_the_lever_out(drive, shape):
     _, covariances = written(drive, shape)
     assert not covariances[:, 0, 2].any() and not covariances[:, 1, 2].any()

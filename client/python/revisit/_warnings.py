@@ -49,6 +49,13 @@ _FINDING_ADVICE = {
         '"datum:10m,1deg" if the frame was placed in one that all share, "unknown" '
         "otherwise; read_recording([first, second], recording=...) takes the same "
         "words",
+    v1.FindingCode.Name(v1.FINDING_CODE_COVARIANCES_WITHOUT_LEVER):
+        "searches carry the heading's variance along the path themselves; give Poses "
+        "covariances that are propagated, with those of position and heading, to have "
+        "yours count",
+    v1.FindingCode.Name(v1.FINDING_CODE_COVARIANCES_RESET):
+        'give Poses covariances that add up along the path, or, if the odometry began '
+        'anew there, begin a recording: poses.as_recording("after")',
 }
 
 
