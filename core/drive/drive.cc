@@ -139,7 +139,7 @@ struct Drive::Impl {
   // by: where the claim of a pose does not count at its node, what is carried
   // on from there.
   std::shared_ptr<const MeasuredLoop> InForce(
-      const std::shared_ptr<const MeasuredLoop>& measured, NodeIndex query,
+      std::shared_ptr<const MeasuredLoop> measured, NodeIndex query,
       NodeIndex matched) const;
   // Estimates the consistency anew from all confirmed loops.
   void RebuildMonitor();
@@ -300,7 +300,7 @@ std::optional<std::pair<NodeIndex, NodeIndex>> Drive::Impl::LoopEdge(
 }
 
 std::shared_ptr<const MeasuredLoop> Drive::Impl::InForce(
-    const std::shared_ptr<const MeasuredLoop>& measured, NodeIndex query,
+    std::shared_ptr<const MeasuredLoop> measured, NodeIndex query,
     NodeIndex matched) const {
   if (measured == nullptr ||
       !NoiseOf(settings.search.correlation_model).carries_claims()) {
@@ -565,7 +565,7 @@ void Drive::AddLoopClosure(std::uint64_t query_sequence,
         {query_sequence,
          matched_sequence,
          {edge->first, edge->second,
-          impl_->InForce(measured, edge->first, edge->second)}});
+          impl_->InForce(std::move(measured), edge->first, edge->second)}});
     const ConfirmedLoop& loop = impl_->confirmed.back().loop;
     if (impl_->IsWithinRecording(loop)) {
       impl_->monitor.Confirm(impl_->graph, loop);
