@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/drive/findings.h"
+#include "core/drive/frame_watch.h"
 #include "core/geometry/quadratic_form.h"
 #include "core/geometry/state_matrix.h"
 #include "core/noise/dead_reckoning.h"
@@ -15,10 +17,6 @@ constexpr double kNoCorrelation = 1e-3;
 // A covariance of heading and position that is less than this share of what
 // would be carried on was left out, and not taken back by other noise.
 constexpr double kLeftOut = 0.1;
-// Claims fall that fall to less than a quarter of their variances, and steps of
-// 20 m may be leaps: frame_watch.h has the same.
-constexpr double kFall = 4.0;
-constexpr double kLeapMeters = 20.0;
 // A step that is shorter than this share of the standard deviation that is
 // given up takes no error back: a normal error in the plane is as small once in
 // thirty times.
@@ -29,17 +27,14 @@ constexpr double kUnmoved = 0.25;
 // noise of single steps, which would never leave the path again.
 constexpr double kMostOfPosition = 4.0;
 
-double PositionVariance(const Covariance& covariance) {
-  return covariance(0, 0) + covariance(1, 1);
-}
-
 double MetersBetween(const ClaimedPose& a, const ClaimedPose& b) {
   return std::hypot(b.pose.x - a.pose.x, b.pose.y - a.pose.y);
 }
 
-// Whether the variances of position and heading both fall. Where the pose
-// leaps, the heading's need not, since a compass lets it stay.
+// Whether the variances of position and heading both fall, as for FrameWatch.
+// Where the pose leaps, the heading's need not, since a compass lets it stay.
 bool Falls(const ClaimedPose& before, const ClaimedPose& after) {
+  constexpr double kFall = FrameWatch::kFall;
   if (!(kFall * PositionVariance(after.claim) <
         PositionVariance(before.claim))) {
     return false;
@@ -47,7 +42,7 @@ bool Falls(const ClaimedPose& before, const ClaimedPose& after) {
   const double was = before.claim(3, 3);
   const double is = after.claim(3, 3);
   return kFall * is < was ||
-         (is <= was && MetersBetween(before, after) >= kLeapMeters);
+         (is <= was && MetersBetween(before, after) >= FrameWatch::kLeapMeters);
 }
 
 // The covariance that a straight step adds. An error of the heading that comes
@@ -64,7 +59,7 @@ StateMatrix<D> NoiseOfStep(const Pose& from, const Pose& to, double along,
   return Turned<D>(noise, std::atan2(to.y - from.y, to.x - from.x));
 }
 
-// What the step has added if its claims say so by their variances alone.
+// The noise of a step whose claims tell of it by their variances alone.
 template <int D>
 StateMatrix<D> NoiseByVariances(const ClaimedPose& before,
                                 const ClaimedPose& after,
@@ -94,11 +89,6 @@ StateMatrix<D> NoiseByVariances(const ClaimedPose& before,
 }
 
 template <int D>
-bool IsPositiveDefinite(const StateMatrix<D>& matrix) {
-  return Evaluate<D>(matrix, StateVector<D>::Zero()).has_value();
-}
-
-template <int D>
 std::optional<CarriedCovariance> CarriedIn(const ClaimedPose& before,
                                            const CarriedCovariance* in_force,
                                            const ClaimedPose& after) {
@@ -115,7 +105,8 @@ std::optional<CarriedCovariance> CarriedIn(const ClaimedPose& before,
   const bool is_given_up = IsGivenUp(before, after);
   // Claims that do not count as they are may go up and down without any reason.
   const bool may_have_fallen =
-      in_force == nullptr || MetersBetween(before, after) >= kLeapMeters;
+      in_force == nullptr ||
+      MetersBetween(before, after) >= FrameWatch::kLeapMeters;
   if (!is_given_up && may_have_fallen && Falls(before, after)) {
     return std::nullopt;
   }
@@ -126,11 +117,10 @@ std::optional<CarriedCovariance> CarriedIn(const ClaimedPose& before,
   if (in_force == nullptr) return std::nullopt;
   const StateMatrix<D> claimed = ToMatrix<D>(after.claim);
   if (IsPositiveDefinite<D>(claimed - carried)) return std::nullopt;
-  const StateMatrix<D> noise =
+  StateMatrix<D> noise =
       claimed - Swung<D>(claimed_before, before.pose, after.pose);
-  return with(IsPositiveDefinite<D>(noise)
-                  ? noise
-                  : StateMatrix<D>(StateMatrix<D>::Zero()));
+  if (!IsPositiveDefinite<D>(noise)) noise.setZero();
+  return with(noise);
 }
 
 }  // namespace

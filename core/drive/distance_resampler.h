@@ -67,8 +67,8 @@ class DistanceResampler {
             ByteReader* reader);
 
  private:
-  // What is in force at the anchor in place of its claim, if that does not
-  // count, and the last claims that were given up, if any were.
+  // The covariance in force at the anchor, if its claim does not count, and the
+  // last claims that were given up, if any were.
   struct Carried {
     CarriedCovariance in_force;
     std::uint64_t counts = 0;

@@ -83,9 +83,9 @@ struct Drive::Impl {
   struct Found {
     std::optional<FindingCode> model;
     bool has_leapt = false;
-    // Of the first pose in a new frame; 0 if there is none.
+    // The first pose in a new frame; 0 if there is none.
     std::uint64_t frame_sequence = 0;
-    // Of the first pose behind claims that were given up; 0 if none were.
+    // The first pose behind claims that were given up; 0 if none were.
     std::uint64_t reset_sequence = 0;
 
     bool operator!=(const Found& other) const {

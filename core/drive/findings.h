@@ -30,8 +30,12 @@ struct Deviations {
   double meters = 0.0;
   double radians = 0.0;
 };
+// The variances of x and y together.
+inline double PositionVariance(const Covariance& covariance) {
+  return covariance(0, 0) + covariance(1, 1);
+}
 inline Deviations DeviationsOf(const Covariance& covariance) {
-  return {std::sqrt(0.5 * (covariance(0, 0) + covariance(1, 1))),
+  return {std::sqrt(0.5 * PositionVariance(covariance)),
           std::sqrt(covariance(3, 3))};
 }
 

@@ -10,8 +10,6 @@
 namespace revisit::core {
 namespace {
 
-double PositionVariance(const Covariance& s) { return s(0, 0) + s(1, 1); }
-
 // The variance of the position after a way, by dead reckoning without noise.
 double CarriedVariance(const Node& from, const Pose& to) {
   const Covariance& s = from.covariance;

@@ -19,6 +19,9 @@
 // recording begins: there the caller has told of the frame. The first node is
 // that of the recording.
 //
+// Claims that fall where the pose goes on as before are carried on before there
+// are nodes (carried_claim.h), and are not seen here.
+//
 // The watch compares nodes: the last one before a step between two poses, and
 // the first one behind it. So what is seen is a function of the graph alone,
 // and nothing of it has to be stored. O(1) per node.

@@ -148,8 +148,8 @@ class ModelCheck {
   // Where the stretch at hand began.
   std::optional<Estimate> stretch_start_;
   Share growing_;
-  // Of the stretches that growing_ has counted, weighted as there: how many are
-  // without a lever.
+  // How many of the stretches that growing_ has counted are without a lever,
+  // weighted as there.
   double without_lever_ = 0.0;
   // The last positions of the triples: the one before the last, and the last.
   std::optional<Position> before_;

@@ -21,6 +21,12 @@ template <int D>
 std::optional<QuadraticForm> Evaluate(const StateMatrix<D>& gamma,
                                       const StateVector<D>& d);
 
+// As far as Evaluate() can tell.
+template <int D>
+bool IsPositiveDefinite(const StateMatrix<D>& matrix) {
+  return Evaluate<D>(matrix, StateVector<D>::Zero()).has_value();
+}
+
 }  // namespace revisit::core
 
 #endif  // REVISIT_CORE_GEOMETRY_QUADRATIC_FORM_H_

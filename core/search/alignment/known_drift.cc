@@ -14,11 +14,6 @@ namespace revisit::core {
 namespace {
 
 template <int D>
-bool PositiveDefinite(const StateMatrix<D>& m) {
-  return Evaluate<D>(m, StateVector<D>::Zero()).has_value();
-}
-
-template <int D>
 LoopEnd<D> EndAt(const PoseGraph& graph, NodeIndex i) {
   const Node node = graph.node(i);
   return {i, node.pose, ToMatrix<D>(node.covariance)};
@@ -68,7 +63,7 @@ bool KnownDrift<D>::GrowsForward(const Closure& closure, const LoopEnd<D>& a,
   StateMatrix<D> added =
       later.covariance - psi * earlier.covariance * psi.transpose();
   closure.AddTolerance(&added);
-  return PositiveDefinite<D>(added);
+  return IsPositiveDefinite<D>(added);
 }
 
 template <int D>
@@ -115,7 +110,7 @@ std::optional<KnownDrift<D>> KnownDrift<D>::Make(const Query& query,
       DeadReckoningDifferenceCovariance<D>(
           earlier.pose, later.pose, earlier.covariance, later.covariance);
   closure.AddTolerance(&covariance);
-  if (!PositiveDefinite<D>(covariance)) return std::nullopt;
+  if (!IsPositiveDefinite<D>(covariance)) return std::nullopt;
   KnownDrift known(query.graph, closure, model.inflation * model.inflation);
   known.query_part_ =
       known.CrossWith(query.node, c) - known.CrossWith(query.node, m);

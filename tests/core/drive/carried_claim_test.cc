@@ -39,7 +39,7 @@ std::vector<Pose> Road(double meters) {
   return Trip().Winding(0.0, meters).Turn(180.0, 30.0).Straight(200.0).poses();
 }
 
-// What is in force at each pose; nothing where that is the claim.
+// The covariance in force at each pose; nothing where that is the claim.
 std::vector<std::optional<CarriedCovariance>> InForce(
     const std::vector<PoseSample>& samples,
     StateSpace space = StateSpace::kPlanar) {

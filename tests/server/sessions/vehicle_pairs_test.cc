@@ -122,7 +122,7 @@ TEST_F(VehicleSessionTest,
   ASSERT_THAT(off, IsOk());
   // Beside the measurement's variance of 0.25, the metres between the poses
   // count as those of a usual odometer.
-  EXPECT_NEAR(off->agreement->squared_mahalanobis, 4.0 / 0.27, 0.5);
+  EXPECT_NEAR(off->agreement->squared_mahalanobis, 4.0 / 0.273, 0.1);
   EXPECT_FALSE(AddPairNow(*session_, kClosure, {"c", 7, 1, 0, ""})->agreement);
 }
 
