@@ -6,7 +6,9 @@
 #define REVISIT_TESTS_ORACLE_FRAMES_H_
 
 #include <cmath>
+#include <limits>
 #include <optional>
+#include <utility>
 #include <vector>
 
 #include "core/drive/confirmed_loop.h"
@@ -169,19 +171,99 @@ class WideFrames {
       if (!have_references_) alone.covariance += own(alone.frame);
       return alone;
     }
+    Correct(placed, y, prior, noise, &alone);
+    return alone;
+  }
+
+  // The drift that pairs of nodes of one drive show, one after the other; each
+  // pair says that the two are at one place, by so much. Nothing without pairs.
+  std::optional<WideTie> ShownBy(const std::vector<core::ConfirmedLoop>& pairs,
+                                 Wide drift_scale,
+                                 const WideMatrix& tolerance) const {
+    std::optional<WideTie> shown;
+    for (const core::ConfirmedLoop& pair : pairs) {
+      WideTie tie;
+      tie.place = PoseAt(pair.matched);
+      tie.asking_node = pair.query;
+      tie.other_node = pair.matched;
+      WidePose seen = PoseAt(pair.query);
+      const Wide turned = NearestTo(0.0L, seen.heading - tie.place.heading);
+      if (std::abs(turned) > 0.5L * kWidePi) seen.heading += kWidePi;
+      const auto update = [&](const WidePose& placed, const WideMatrix& prior,
+                              Wide most) {
+        WideVector y = StateOf(seen, d_) - StateOf(placed, d_);
+        y(d_ - 1) = NearestTo(0.0L, y(d_ - 1));
+        const auto form = EvaluateWide(prior + tolerance, y);
+        if (!form || form->squared > most) return false;
+        Correct(placed, y, prior, tolerance, &tie);
+        return true;
+      };
+      if (shown && update(Placed(shown->frame, tie.place),
+                          Gamma(*shown, pair.query, pair.matched, drift_scale),
+                          core::ChiSquaredQuantile(d_, 0.99))) {
+        shown = tie;
+      } else if (update(tie.place,
+                        drift_scale * drift_scale *
+                            ErrorSince(pair.query, pair.matched),
+                        std::numeric_limits<Wide>::infinity())) {
+        shown = tie;
+      }
+    }
+    return shown;
+  }
+
+  // What of the drift shown node j has too, which does not lie before the
+  // place, in the axes of the asking frame: the mean, and by how much it leaves
+  // the covariance less.
+  std::pair<WideVector, WideMatrix> HasToo(const WideTie& shown,
+                                           core::NodeIndex j,
+                                           Wide drift_scale) const {
+    const core::NodeIndex c = *shown.asking_node;
+    const core::NodeIndex m = *shown.other_node;
+    const WidePose at_j = PoseAt(j);
+    const WidePose at_c = PoseAt(c);
+    const WideMatrix turn = WideTurn(shown.frame.heading, d_);
+    const Wide claimed = drift_scale * drift_scale;
+    // Cov(u_j, u_c), whichever is later.
+    const WideMatrix mixed =
+        j <= c
+            ? WideMatrix(
+                  claimed * ErrorSince(m, j) *
+                  WideLever(at_c.x - at_j.x, at_c.y - at_j.y, d_).transpose())
+            : WideMatrix(claimed *
+                         WideLever(at_j.x - at_c.x, at_j.y - at_c.y, d_) *
+                         ErrorSince(m, c));
+    const WidePose at_m = PoseAt(m);
+    const WideMatrix lever = WideLever(at_c.x - at_m.x, at_c.y - at_m.y, d_);
+    const WideMatrix known =
+        claimed * ErrorSince(m, c) +
+        lever * turn.transpose() * shown.covariance * turn * lever.transpose();
+    const WidePose origin;
+    const WidePose true_c = Placed(FrameWith(origin, shown.frame), at_c);
+    WideVector y = StateOf(at_c, d_) - StateOf(true_c, d_);
+    y(d_ - 1) = NearestTo(0.0L, y(d_ - 1));
+    const WideMatrix gain = mixed * known.inverse();
+    return {turn * gain * y,
+            turn * gain * mixed.transpose() * turn.transpose()};
+  }
+
+ private:
+  // Lets the tie place what was placed there, with this covariance, so that the
+  // difference of what is seen from it is halved as the two covariances say.
+  void Correct(const WidePose& placed, const WideVector& difference,
+               const WideMatrix& prior, const WideMatrix& noise,
+               WideTie* tie) const {
     const WideMatrix both = (prior.inverse() + noise.inverse()).inverse();
-    const WideVector moved = both * noise.inverse() * y;
+    const WideVector moved = both * noise.inverse() * difference;
     WidePose corrected = placed;
     corrected.x += moved(0);
     corrected.y += moved(1);
     if (d_ == 4) corrected.z += moved(2);
     corrected.heading += moved(d_ - 1);
-    alone.frame = FrameWith(corrected, PoseAt(m));
-    alone.covariance = both;
-    return alone;
+    tie->frame = FrameWith(corrected, tie->place);
+    tie->covariance = both;
   }
 
- private:
   WidePose PoseAt(core::NodeIndex i) const {
     WidePose pose = WidePoseOf(graph_.node(i).pose);
     if (d_ == 3) pose.z = 0.0L;

@@ -363,6 +363,40 @@ class SurvivorLists {
     return {d, covariance};
   }
 
+  // The same as marks have shown the drift.
+  std::pair<WideVector, WideMatrix> AnchorShown(
+      core::NodeIndex j, int way, double scale,
+      const std::vector<core::ConfirmedLoop>& pairs) const {
+    const core::SimilarityModel& similarity = model_.similarity;
+    const Wide deviations = static_cast<Wide>(similarity.inflation) * scale;
+    const WideMatrix confirmed =
+        WideDiagonal(core::kConfirmedTolerance.position_meters,
+                     core::kConfirmedTolerance.heading_radians, d_);
+    std::vector<core::ConfirmedLoop> counting;
+    std::copy_if(pairs.begin(), pairs.end(), std::back_inserter(counting),
+                 [&](const core::ConfirmedLoop& pair) {
+                   return ForwardFilter(pair, confirmed);
+                 });
+    const std::optional<WideTie> shown =
+        frames_.ShownBy(counting, deviations, confirmed);
+    if (!shown) return Anchor(j, way, scale, std::nullopt);
+    WideVector d = frames_.Difference(*shown, query_, j);
+    if (way == 1) d(d_ - 1) = NearestTo(0.0L, d(d_ - 1) + kWidePi);
+    WideMatrix covariance =
+        frames_.Gamma(*shown, query_, j, deviations) +
+        WideDiagonal(similarity.tolerance.position_meters,
+                     similarity.tolerance.heading_radians, d_);
+    if (j > *shown->other_node) {
+      const auto [mean, less] = frames_.HasToo(*shown, j, deviations);
+      WideVector known_d = d + mean;
+      known_d(d_ - 1) = NearestTo(0.0L, known_d(d_ - 1));
+      if (EvaluateWide(covariance - less, known_d)) {
+        return {known_d, covariance - less};
+      }
+    }
+    return {d, covariance};
+  }
+
   // The same of a node in another frame; a drift that is shown is known by its
   // closure alone.
   std::pair<WideVector, WideMatrix> AnchorAcross(
@@ -396,10 +430,24 @@ class SurvivorLists {
     double scale = 1.0;
     Wide log_weight = 0.0L;
     std::optional<core::ConfirmedLoop> loop;
+    // What marks have shown; then no closure counts.
+    std::vector<core::ConfirmedLoop> pairs = {};
     // In another frame.
     Wide fixed_scale = 1.0L;
     bool is_unknown = false;
   };
+
+  std::pair<WideVector, WideMatrix> AnchorBy(
+      core::NodeIndex j, int way, const WeighedAnchor& anchor) const {
+    const bool is_shown = !anchor.pairs.empty();
+    if (!relation_.is_own()) {
+      std::optional<core::ConfirmedLoop> newest;
+      if (is_shown) newest = anchor.pairs.back();
+      return AnchorAcross(j, way, anchor.scale, anchor.fixed_scale, newest);
+    }
+    return is_shown ? AnchorShown(j, way, anchor.scale, anchor.pairs)
+                    : Anchor(j, way, anchor.scale, anchor.loop);
+  }
 
   // All scales, with each of the drifts that reach into the node's block of 128
   // and with the one as claimed.
@@ -421,7 +469,7 @@ class SurvivorLists {
         anchors.push_back(
             {scale.scale,
              static_cast<Wide>(scale.log_weight) + drift.log_weight,
-             drift.loop});
+             std::nullopt, drift.pairs});
       }
       if (relation_.is_own()) {
         anchors.push_back({scale.scale, scale.log_weight + std::log(left),
@@ -431,7 +479,10 @@ class SurvivorLists {
       for (const core::FrameWay& lies : relation_.ways()) {
         anchors.push_back({scale.scale,
                            scale.log_weight + std::log(left) + lies.log_weight,
-                           std::nullopt, lies.fixed_scale, lies.is_unknown});
+                           std::nullopt,
+                           {},
+                           lies.fixed_scale,
+                           lies.is_unknown});
       }
     }
     return anchors;
@@ -475,10 +526,7 @@ class SurvivorLists {
         }
         continue;
       }
-      const auto [d, covariance] =
-          relation_.is_own() ? Anchor(j, way, anchor.scale, anchor.loop)
-                             : AnchorAcross(j, way, anchor.scale,
-                                            anchor.fixed_scale, anchor.loop);
+      const auto [d, covariance] = AnchorBy(j, way, anchor);
       match.is_straight_across |=
           std::abs(std::abs(d(d_ - 1)) - kWidePi) < 1e-12L;
       const auto form = Smoothed(d, covariance, path);

@@ -9,6 +9,7 @@
 #include "core/geometry/heading.h"
 #include "core/geometry/state_matrix.h"
 #include "core/noise/similarity_model.h"
+#include "core/search/alignment/shown_drift.h"
 
 namespace revisit::core {
 
@@ -56,16 +57,34 @@ template <int D>
 void Anchors<D>::AddOwnParts(const Query& query, const History& history,
                              const SimilarityModel& similarity,
                              const WeighedScale& scale) {
-  const auto add = [&](const std::optional<ConfirmedLoop>& loop,
-                       const WeighedDrift* drift) {
+  const auto add = [&]() -> Part& {
     Part& part = parts_.emplace_back();
-    part.finder.emplace(query, history, similarity, loop);
     part.scale = scale.scale;
     part.log_scale_weight = scale.log_weight;
-    part.drift = drift;
+    return part;
   };
-  add(model_.last_confirmed, nullptr);
-  for (const WeighedDrift& drift : drifts_) add(drift.loop, &drift);
+  add().finder.emplace(query, history, similarity, model_.last_confirmed);
+  for (const WeighedDrift& drift : drifts_) {
+    Part& part = add();
+    part.drift = &drift;
+    const auto shown = ShownDrift<D>::Make(query, similarity, drift.pairs);
+    if (!shown) {
+      part.finder.emplace(query, history, similarity, std::nullopt);
+      continue;
+    }
+    part.finder.emplace(query, history, similarity, *shown);
+    TurnAxes(query, shown->tie(), &part);
+  }
+}
+
+// Lets the part see the path in axes of its own, turned as the tie says.
+template <int D>
+void Anchors<D>::TurnAxes(const Query& query, const FrameRelation& tie,
+                          Part* part) {
+  part->heading =
+      WrapHeading(query.graph.pose(query.node).heading - tie.transform.heading);
+  part->axes = part_axes_.size();
+  part_axes_.emplace_back();
 }
 
 template <int D>
@@ -92,11 +111,8 @@ void Anchors<D>::AddTiedParts(const Query& query, const History& history,
     const FrameRelation tie = relation.Shown(drifts_[i], similarity.inflation);
     Part& part = add(relation.ways().size() + i);
     part.drift = &drifts_[i];
-    part.heading = WrapHeading(query.graph.pose(query.node).heading -
-                               tie.transform.heading);
-    part.axes = part_axes_.size();
-    part_axes_.emplace_back();
     part.finder.emplace(query, history, similarity, tie, 1.0);
+    TurnAxes(query, tie, &part);
   }
 }
 

@@ -4,10 +4,12 @@
 //
 // The density of the difference of the query and node j is
 //
-//   sum over scales k, drifts h of  v_k w_h N(d_j - mean_h; 0, Gamma_kh + R),
+//   sum over scales k, drifts h of  v_k w_h N(d_kh; 0, Gamma_kh + R),
 //
-// where h = 0 is the drift as claimed. A drift that node j lies out of the
-// reach of counts as the drift as claimed there. In another recording, h = 0 is
+// where h = 0 is the drift as claimed, and in the others d and Gamma are those
+// of a history that was laid to where marks have shown it (shown_drift.h). A
+// drift that node j lies out of the reach of counts as the drift as claimed
+// there. In another recording, h = 0 is
 // a sum over the ways in which its frame may lie (relation.h).
 #ifndef REVISIT_CORE_SEARCH_ALIGNMENT_ANCHORS_H_
 #define REVISIT_CORE_SEARCH_ALIGNMENT_ANCHORS_H_
@@ -102,7 +104,8 @@ class Anchors {
   struct Part {
     // Nothing where it is not known how the frames lie to each other.
     std::optional<Differences<D>> finder;
-    // The query's heading in the history's frame, as this part has it.
+    // The query's heading in the history's frame, as this part has it, if it
+    // has axes of its own.
     double heading = 0.0;
     std::size_t axes = 0;
     std::size_t way = 0;
@@ -128,6 +131,7 @@ class Anchors {
   void AddTiedParts(const Query& query, const History& history,
                     const SimilarityModel& similarity,
                     const WeighedScale& scale);
+  void TurnAxes(const Query& query, const FrameRelation& tie, Part* part);
   void Weigh(NodeIndex first);
   void Evaluate(Part* part);
   const PathAxes<D>& AxesOf(const Part& part);

@@ -10,6 +10,15 @@
 #include "core/noise/similarity_model.h"
 
 namespace revisit::core {
+namespace {
+
+BlockColumn IndicesFrom(NodeIndex first) {
+  BlockColumn indices;
+  std::iota(indices.begin(), indices.end(), static_cast<double>(first));
+  return indices;
+}
+
+}  // namespace
 
 template <int D>
 Differences<D>::Differences(const Query& query, const History& history,
@@ -40,8 +49,29 @@ Differences<D>::Differences(const Query& query, const History& history,
       has_closed_form_(true),
       next_(query.node),
       is_tied_(true) {
-  const FramePair<D> pair(history.relation.nodes(), tie, query.node,
-                          model.inflation, fixed_scale);
+  MakeTied(FramePair<D>(history.relation.nodes(), tie, query.node,
+                        model.inflation, fixed_scale));
+}
+
+template <int D>
+Differences<D>::Differences(const Query& query, const History& history,
+                            const SimilarityModel& model,
+                            const ShownDrift<D>& shown)
+    : query_(query),
+      history_(history),
+      model_(model),
+      has_closed_form_(true),
+      next_(query.node),
+      is_tied_(true),
+      bridge_(shown.Bridge()) {
+  MakeTied(
+      FramePair<D>(shown.nodes(), shown.tie(), query.node, model.inflation));
+  // The reference itself, of which both hold, has nothing of the drift yet.
+  ++reference_;
+}
+
+template <int D>
+void Differences<D>::MakeTied(const FramePair<D>& pair) {
   MakeTied(pair, /*is_before=*/true, &before_);
   MakeTied(pair, /*is_before=*/false, &after_);
   reference_ = pair.reference();
@@ -88,7 +118,13 @@ void Differences<D>::FindTied(const NodeBlock& nodes, const NodeBlock& next,
     FindDifferences(query, nodes, next, nullptr, found);
   };
   find(before == count ? before_ : after_, differences);
-  if (before == 0 || before == count) return;
+  if (before == count) return;
+  if (bridge_) {
+    TakeKnownDrift(*bridge_, model_.state_space, nodes,
+                   indices == nullptr ? IndicesFrom(first) : *indices,
+                   differences);
+  }
+  if (before == 0) return;
   DifferenceBlock of_before;
   of_before.count = differences->count;
   find(before_, &of_before);
@@ -122,10 +158,8 @@ void Differences<D>::Find(std::size_t k, std::size_t count, std::size_t next,
     FindDifferences(kernel_query_, graph.block(k), graph.block(next),
                     shared ? &shares : nullptr, differences);
     if (known_drift_) {
-      alignas(64) BlockColumn indices;
-      std::iota(indices.begin(), indices.end(),
-                static_cast<double>(k * NodeBlock::kSize));
-      TakeKnownDrift(*known_drift_, model_.state_space, graph.block(k), indices,
+      TakeKnownDrift(*known_drift_, model_.state_space, graph.block(k),
+                     IndicesFrom(static_cast<NodeIndex>(k * NodeBlock::kSize)),
                      differences);
     }
   }

@@ -17,6 +17,7 @@
 #include "core/search/alignment/known_drift.h"
 #include "core/search/alignment/log_similarity.h"
 #include "core/search/alignment/query.h"
+#include "core/search/alignment/shown_drift.h"
 #include "core/search/alignment/similarity_kernel.h"
 
 namespace revisit::core {
@@ -30,6 +31,9 @@ class Differences {
   Differences(const Query& query, const History& history,
               const SimilarityModel& model,
               const std::optional<ConfirmedLoop>& last_confirmed);
+  // The same as marks have shown the drift.
+  Differences(const Query& query, const History& history,
+              const SimilarityModel& model, const ShownDrift<D>& shown);
   // The same for another recording whose frame is tied like this, with the
   // variances of its own error times `fixed_scale`.
   Differences(const Query& query, const History& history,
@@ -57,6 +61,7 @@ class Differences {
     TiedTerms terms;
   };
 
+  void MakeTied(const FramePair<D>& pair);
   void MakeTied(const FramePair<D>& pair, bool is_before, Tied* tied) const;
   // Finds the differences of the nodes [first, first + count) of the graph, or
   // of as many with these indices.
@@ -77,11 +82,13 @@ class Differences {
   // Where it has none: Psi(query, next_).
   BackwardTransition<D> back_;
   NodeIndex next_;
-  // In another recording: nodes before the reference, and the others.
+  // In another recording, and where the drift is shown: nodes before the
+  // reference, and the others, with what else is known of these.
   bool is_tied_ = false;
   Tied before_;
   Tied after_;
   NodeIndex reference_ = 0;
+  std::optional<KnownDriftTerms> bridge_;
 };
 
 }  // namespace revisit::core

@@ -11,23 +11,31 @@
 
 namespace revisit::core {
 
-namespace {
-
 template <int D>
 LoopEnd<D> EndAt(const PoseGraph& graph, NodeIndex i) {
   const Node node = graph.node(i);
   return {i, node.pose, ToMatrix<D>(node.covariance)};
 }
 
-}  // namespace
+template <int D>
+bool GrowsForward(const LoopEnd<D>& a, const LoopEnd<D>& b,
+                  const StateMatrix<D>& tolerance) {
+  const LoopEnd<D>& earlier = b.index < a.index ? b : a;
+  const LoopEnd<D>& later = b.index < a.index ? a : b;
+  const StateMatrix<D> psi =
+      DeadReckoningTransition<D>(earlier.pose, later.pose);
+  StateMatrix<D> added =
+      later.covariance - psi * earlier.covariance * psi.transpose();
+  added += tolerance;
+  return IsPositiveDefinite<D>(added);
+}
 
 template <int D>
-void KnownDrift<D>::Closure::AddTolerance(StateMatrix<D>* covariance) const {
-  if (measurement) {
-    *covariance += *measurement;
-  } else {
-    core::AddTolerance<D>(kConfirmedTolerance, covariance);
-  }
+StateMatrix<D> KnownDrift<D>::Closure::Tolerance() const {
+  if (measurement) return *measurement;
+  StateMatrix<D> tolerance = StateMatrix<D>::Zero();
+  AddTolerance<D>(kConfirmedTolerance, &tolerance);
+  return tolerance;
 }
 
 template <int D>
@@ -49,21 +57,6 @@ auto KnownDrift<D>::Unmeasured(const PoseGraph& graph, SimilarityModel model,
           ToVector<D>(PassDifference(model, graph.pose(loop.query),
                                      graph.pose(loop.matched))),
           std::nullopt};
-}
-
-// Whether the error at the later end can be the error at the earlier one,
-// carried on, plus new noise.
-template <int D>
-bool KnownDrift<D>::GrowsForward(const Closure& closure, const LoopEnd<D>& a,
-                                 const LoopEnd<D>& b) {
-  const LoopEnd<D>& earlier = b.index < a.index ? b : a;
-  const LoopEnd<D>& later = b.index < a.index ? a : b;
-  const StateMatrix<D> psi =
-      DeadReckoningTransition<D>(earlier.pose, later.pose);
-  StateMatrix<D> added =
-      later.covariance - psi * earlier.covariance * psi.transpose();
-  closure.AddTolerance(&added);
-  return IsPositiveDefinite<D>(added);
 }
 
 template <int D>
@@ -97,9 +90,10 @@ std::optional<KnownDrift<D>> KnownDrift<D>::Make(const Query& query,
   const LoopEnd<D>& m = closure.matched;
   // The pose of a closure at the query's own node may lie behind it.
   const LoopEnd<D>& last = m.index > c.index ? m : c;
-  if (!GrowsForward(closure, m, c) ||
+  const StateMatrix<D> tolerance = closure.Tolerance();
+  if (!GrowsForward<D>(m, c, tolerance) ||
       !(last.index == query.node ||
-        GrowsForward(closure, last, EndAt<D>(query.graph, query.node)))) {
+        GrowsForward<D>(last, EndAt<D>(query.graph, query.node), tolerance))) {
     return std::nullopt;
   }
   const bool c_is_later = c.index > m.index;
@@ -109,7 +103,7 @@ std::optional<KnownDrift<D>> KnownDrift<D>::Make(const Query& query,
       (model.inflation * model.inflation) *
       DeadReckoningDifferenceCovariance<D>(
           earlier.pose, later.pose, earlier.covariance, later.covariance);
-  closure.AddTolerance(&covariance);
+  covariance += tolerance;
   if (!IsPositiveDefinite<D>(covariance)) return std::nullopt;
   KnownDrift known(query.graph, closure, model.inflation * model.inflation);
   known.query_part_ =
@@ -154,6 +148,12 @@ void KnownDrift<D>::Apply(NodeIndex j, StateVector<D>* difference,
   *covariance -= gain * x.transpose();
 }
 
+template LoopEnd<3> EndAt<3>(const PoseGraph&, NodeIndex);
+template LoopEnd<4> EndAt<4>(const PoseGraph&, NodeIndex);
+template bool GrowsForward<3>(const LoopEnd<3>&, const LoopEnd<3>&,
+                              const StateMatrix<3>&);
+template bool GrowsForward<4>(const LoopEnd<4>&, const LoopEnd<4>&,
+                              const StateMatrix<4>&);
 template class KnownDrift<3>;
 template class KnownDrift<4>;
 

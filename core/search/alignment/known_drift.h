@@ -35,6 +35,15 @@ struct LoopEnd {
   StateMatrix<D> covariance;
 };
 
+template <int D>
+LoopEnd<D> EndAt(const PoseGraph& graph, NodeIndex i);
+
+// Whether the error at the later end can be the error at the earlier one,
+// carried on, plus new noise of some covariance, up to a tolerance.
+template <int D>
+bool GrowsForward(const LoopEnd<D>& a, const LoopEnd<D>& b,
+                  const StateMatrix<D>& tolerance);
+
 // The drift between the query and any other node of the asking drive.
 template <int D>
 class KnownDrift {
@@ -71,14 +80,12 @@ class KnownDrift {
     // R_c, or nothing for kConfirmedTolerance.
     std::optional<StateMatrix<D>> measurement;
 
-    void AddTolerance(StateMatrix<D>* covariance) const;
+    StateMatrix<D> Tolerance() const;
   };
 
   static Closure Measured(const ConfirmedLoop& loop);
   static Closure Unmeasured(const PoseGraph& graph, SimilarityModel model,
                             const ConfirmedLoop& loop);
-  static bool GrowsForward(const Closure& closure, const LoopEnd<D>& a,
-                           const LoopEnd<D>& b);
   static std::optional<KnownDrift> Make(const Query& query,
                                         const SimilarityModel& model,
                                         const Closure& closure);

@@ -24,14 +24,14 @@
 // - Where nothing ties them, T is not known at all. Then no end is likelier
 //   than another by where it lies: each of the nodes that the world may hold
 //   (kWorldSquareMeters) is as likely.
-// - The ways that marks of the drive have shown, each for the nodes near one
-//   place: T updated as by a closure that says no more than that two nodes are
-//   at one place.
+// - The ways that marks of the drive have shown, each for the nodes near the
+//   newest of its places, which alone counts: T updated as by a closure that
+//   says no more than that two nodes are at one place.
 //
 // Beside a relation, only the following take query and history for one graph:
-// Differences (differences.h), with the kernel and with what closures have
-// shown of the drift (known_drift.h), and the paper's alignment
-// (composite_search.h).
+// Differences (differences.h), with the kernel and with what closures and marks
+// have shown of the drift (known_drift.h, shown_drift.h), and the paper's
+// alignment (composite_search.h).
 #ifndef REVISIT_CORE_SEARCH_ALIGNMENT_RELATION_H_
 #define REVISIT_CORE_SEARCH_ALIGNMENT_RELATION_H_
 
@@ -54,11 +54,13 @@
 
 namespace revisit::core {
 
-// A place that the vehicle has probably passed before, and so a drift, or a
-// pose of another frame, that is probable. Ends outside `reach` are compared as
-// if it were not known: between passes far from the two nodes it is another.
+// Places that the vehicle has probably passed before, and so a drift, or a pose
+// of another frame, that is probable. Ends outside `reach` are compared as if
+// it were not known: between passes far from the newest two nodes it is
+// another.
 struct WeighedDrift {
-  ConfirmedLoop loop;
+  // Nodes and where they were found, in the order of the nodes; not empty.
+  std::vector<ConfirmedLoop> pairs;
   NodeRange reach;
   double log_weight = 0.0;
 };
@@ -130,10 +132,10 @@ class Relation {
   const std::vector<FrameWay>& ways() const { return other_->ways; }
   // The ways that marks have shown.
   const std::vector<WeighedDrift>& drifts() const { return other_->drifts; }
-  // The tie as a mark has shown it. Takes O(1), and is another one for each
-  // scale of the claims.
+  // The tie as the newest pair of a drift has shown it. Takes O(1), and is
+  // another one for each scale of the claims.
   FrameRelation Shown(const WeighedDrift& drift, double drift_scale) const {
-    return TiedBy(other_->nodes, other_->tie, drift.loop, drift_scale);
+    return TiedBy(other_->nodes, other_->tie, drift.pairs.back(), drift_scale);
   }
 
   // ---- Both.

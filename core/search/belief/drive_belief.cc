@@ -82,11 +82,14 @@ void DriveBelief::LearnDrift(const PoseGraph& graph,
   for (WeighedDrift& earlier : drifts) {
     earlier.log_weight += std::log1p(-shown);
   }
+  std::vector<ConfirmedLoop>& pairs = pairs_[recording];
+  if (pairs.size() == kMostPairs) pairs.erase(pairs.begin());
+  pairs.push_back({mark.node, *mark.matched, nullptr});
   WeighedDrift drift;
-  drift.loop = {mark.node, *mark.matched, nullptr};
+  drift.pairs = pairs;
   drift.log_weight = std::log(shown);
   drift.reach = Common(NodesNearer(graph, *mark.matched, reach_meters),
-                       recordings.NodesOf(recording, graph.size()));
+                       recordings.NodesOf(recording, mark.node));
   drifts.push_back(drift);
   if (drifts.size() > kMostDrifts) {
     drifts.erase(

@@ -15,8 +15,8 @@
 //   a < 1 of an observation of its own (kScaleShare).
 //
 // - The drift. A recent mark that found its place surely enough shows the drift
-//   between the two passes as a loop closure would (known_drift.h), with the
-//   probability that it is right.
+//   between the two passes as a loop closure would, together with the marks
+//   before it (shown_drift.h), with the probability that it is right.
 #ifndef REVISIT_CORE_SEARCH_BELIEF_DRIVE_BELIEF_H_
 #define REVISIT_CORE_SEARCH_BELIEF_DRIVE_BELIEF_H_
 
@@ -44,6 +44,8 @@ inline constexpr std::int64_t kMostScaleMarks = 32;
 // How far the drift that a mark has shown reaches along the path from its place
 // either way, in spacings of marks.
 inline constexpr double kDriftReach = 40.0;
+// Most places that show one drift together.
+inline constexpr std::size_t kMostPairs = 6;
 // Least probability of a place that shows the drift.
 inline constexpr double kLeastDriftProbability = 0.9;
 // Most drifts that are held possible at a time, beside the one as claimed.
@@ -83,9 +85,10 @@ class DriveBelief {
   // Learns the scale from a mark; marks that are asked for lie `stride` apart.
   void LearnScale(const MarkEvidence& mark, std::int64_t stride);
   // Learns the drift from a mark, whose place counts for ends of its recording
-  // within `reach_meters` of it along the path. Where that is not the mark's
-  // own recording, it shows how the frames of the two lie. REQUIRES: marks of
-  // one recording come in their order, after all scales were learned.
+  // within `reach_meters` of it along the path, and before the mark. Where that
+  // is not the mark's own recording, it shows how the frames of the two lie.
+  // REQUIRES: marks of one recording come in their order, after all scales were
+  // learned.
   void LearnDrift(const PoseGraph& graph, const Recordings& recordings,
                   const MarkEvidence& mark, double reach_meters);
 
@@ -102,7 +105,8 @@ class DriveBelief {
   ByScale Weights() const;
 
   ByScale log_density_;
-  // By recording.
+  // By recording: the newest marks that show the drift, and the drifts.
+  std::map<std::size_t, std::vector<ConfirmedLoop>> pairs_;
   std::map<std::size_t, std::vector<WeighedDrift>> drifts_;
 };
 

@@ -122,9 +122,16 @@ inline void BelieveAnything(std::mt19937_64& random, Town* town) {
   const auto last = static_cast<int>(town->query);
   for (int k = 0; k < drifts && last > 0; ++k) {
     WeighedDrift drift;
-    drift.loop.query = UniformInt(random, 1, last);
-    drift.loop.matched =
-        UniformInt(random, 0, static_cast<int>(drift.loop.query) - 1);
+    const int pairs = UniformInt(random, 1, 3);
+    for (int pair = 0; pair < pairs; ++pair) {
+      const NodeIndex c = UniformInt(random, 1, last);
+      const NodeIndex m = UniformInt(random, 0, static_cast<int>(c) - 1);
+      drift.pairs.push_back({c, m, nullptr});
+    }
+    std::sort(drift.pairs.begin(), drift.pairs.end(),
+              [](const ConfirmedLoop& a, const ConfirmedLoop& b) {
+                return a.query < b.query;
+              });
     drift.reach.first = UniformInt(random, 0, last);
     drift.reach.last = drift.reach.first + UniformInt(random, 1, last);
     drift.log_weight = std::log(Uniform(random, 0.0, 1.0) / drifts);
@@ -361,10 +368,11 @@ inline bool MoveApart(std::mt19937_64& random, Town* town) {
     const int count = UniformInt(random, 1, 2);
     for (int k = 0; k < count; ++k) {
       WeighedDrift drift;
-      drift.loop.query =
+      const NodeIndex c =
           start + UniformInt(random, 0, static_cast<int>(town->steps) - 1);
-      drift.loop.matched = UniformInt(random, static_cast<int>(town->first),
-                                      static_cast<int>(town->history) - 1);
+      const NodeIndex m = UniformInt(random, static_cast<int>(town->first),
+                                     static_cast<int>(town->history) - 1);
+      drift.pairs.push_back({c, m, nullptr});
       drift.reach.first = UniformInt(random, static_cast<int>(town->first),
                                      static_cast<int>(town->history) - 1);
       drift.reach.last = town->history;

@@ -101,8 +101,9 @@ TEST(DriveBeliefTest, ASurePlaceShowsTheDriftWithinReach) {
   belief.LearnDrift(graph, Recordings(), mark, 800.0);
   ASSERT_EQ(belief.drifts(0).size(), 1u);
   const WeighedDrift drift = belief.drifts(0)[0];
-  EXPECT_EQ(drift.loop.query, 1500);
-  EXPECT_EQ(drift.loop.matched, 700);
+  ASSERT_EQ(drift.pairs.size(), 1u);
+  EXPECT_EQ(drift.pairs[0].query, 1500);
+  EXPECT_EQ(drift.pairs[0].matched, 700);
   // Less sure than the mark: nothing is certain.
   EXPECT_NEAR(std::exp(drift.log_weight), 0.999, 1e-9);
   EXPECT_NEAR(2.0 * static_cast<double>(drift.reach.first), 600.0, 2.0);
@@ -131,13 +132,44 @@ TEST(DriveBeliefTest, LaterPlacesOutweighEarlierOnesAndTheBestAreKept) {
     belief.LearnDrift(graph, Recordings(), mark, 800.0);
   }
   ASSERT_EQ(belief.drifts(0).size(), kMostDrifts);
-  EXPECT_EQ(belief.drifts(0).back().loop.query, 2100);
+  EXPECT_EQ(belief.drifts(0).back().pairs.back().query, 2100);
   double sum = 0.0;
   for (const WeighedDrift& drift : belief.drifts(0)) {
     sum += std::exp(drift.log_weight);
     EXPECT_LE(drift.log_weight, belief.drifts(0).back().log_weight);
   }
   EXPECT_LT(sum, 1.0);
+}
+
+TEST(DriveBeliefTest, ADriftIsShownByTheNewestPlacesTogether) {
+  const PoseGraph graph = StraightRoad(3000);
+  DriveBelief belief;
+  for (NodeIndex k = 0; k < 10; ++k) {
+    MarkEvidence mark = Speaking(4, 0.0, 2000 + 25 * k, 700 + 25 * k);
+    mark.log_all_evidence.fill(12.0);
+    // One of them is not sure enough.
+    mark.log_matched_odds.fill(k == 8 ? 10.0 : 11.95);
+    belief.LearnDrift(graph, Recordings(), mark, 800.0);
+  }
+  const std::vector<ConfirmedLoop> pairs = belief.drifts(0).back().pairs;
+  ASSERT_EQ(pairs.size(), kMostPairs);
+  for (std::size_t i = 0; i < pairs.size(); ++i) {
+    const NodeIndex k =
+        i + 1 < pairs.size() ? static_cast<NodeIndex>(i) + 3 : 9;
+    EXPECT_EQ(pairs[i].query, 2000 + 25 * k);
+    EXPECT_EQ(pairs[i].matched, 700 + 25 * k);
+  }
+}
+
+TEST(DriveBeliefTest, ADriftReachesNoFartherThanToItsMark) {
+  const PoseGraph graph = StraightRoad(3000);
+  DriveBelief belief;
+  MarkEvidence mark = Speaking(4, 0.0, 1000, 700);
+  mark.log_all_evidence.fill(12.0);
+  mark.log_matched_odds.fill(11.99);
+  belief.LearnDrift(graph, Recordings(), mark, 1500.0);
+  ASSERT_EQ(belief.drifts(0).size(), 1u);
+  EXPECT_EQ(belief.drifts(0)[0].reach.last, 1000);
 }
 
 TEST(MarkLineTest, AMarkIsTheFirstNodeAtOrAfterItsDistance) {
