@@ -44,6 +44,24 @@ constexpr double kOverlapAcrossMeters = 1000.0;
 // one search.
 constexpr std::size_t kMostGrowingKept = 4096;
 
+// How far a place that a mark found and one that was confirmed may lie from
+// each other along a road on which both passes ran on together, m: a verifier
+// confirms a candidate that is some metres off, and marks slip as far.
+constexpr double kAgreeingMeters = 30.0;
+
+// Whether a closure leaves the mark what it has shown: they are of one pass
+// beside the same other one, as far apart there as here, and nothing was
+// measured. Such a closure does not say where along the road the vehicle is,
+// and the next candidate, found with it, is as far off as it is; marks do not
+// depend on each other.
+bool Agree(const PoseGraph& graph, const MarkEvidence& mark,
+           const ConfirmedLoop& closure) {
+  return closure.measured == nullptr &&
+         std::abs(graph.MetersApart(mark.node, closure.query) -
+                  graph.MetersApart(*mark.matched, closure.matched)) <=
+             kAgreeingMeters;
+}
+
 // Fills in what a search finds that has something to compare.
 absl::Status FindCandidates(const SearchTask& task, CandidateSet* set) {
   set->nodes_considered = task.history_size();
@@ -386,16 +404,22 @@ void Search::Impl::RememberIfMark(NodeIndex query,
   if (found.ok()) marks_.Keep(mark, *found);
 }
 
-// What a verifier has judged counts for more: a closure shows the drift, or how
-// frames lie, better than earlier marks do, and a place that was rejected shows
-// none. Drift before the query's recording is another.
+// What a verifier has judged counts for more: of the marks before a closure
+// only those count that agree with it, and a place that was rejected shows
+// none. How frames lie a closure shows better than any mark before it. Drift
+// before the query's recording is another.
 bool Search::Impl::ShowsDrift(const MarkEvidence& mark, NodeIndex query) const {
   if (!mark.matched) return false;
   const Recordings& recordings = drive_.recordings();
   if (recordings.Of(mark.node) != recordings.Of(query)) return false;
   if (const auto closure =
           drive_.LastConfirmed(query, recordings.Of(*mark.matched))) {
-    if (mark.node <= std::max(closure->query, closure->matched)) return false;
+    const bool is_later =
+        mark.node > std::max(closure->query, closure->matched);
+    const bool is_own = recordings.Of(*mark.matched) == recordings.Of(query);
+    if (!is_later && !(is_own && Agree(drive_.graph(), mark, *closure))) {
+      return false;
+    }
   }
   const std::vector<NodeRange> not_sought = drive_.NotSought(
       mark.node, drive_.settings().search.candidate_separation_meters);

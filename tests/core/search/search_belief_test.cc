@@ -2,6 +2,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <functional>
@@ -126,6 +127,51 @@ TEST(SearchBeliefTest, ClosuresAndRejectionsDoNotChangeWhatMarksHaveShown) {
   ExpectEqual(known, *anew.AtEnd(drive.settings().search, nullptr));
   EXPECT_EQ(known.scale->scale, last.scale->scale);
   EXPECT_LE(search.mark_count(), marks + 1);
+}
+
+// The ring, so many times as large: the less a road bends, the less its shape
+// says where along it the vehicle is.
+std::vector<Pose> WideRing(double meters, int times) {
+  std::vector<Pose> poses;
+  for (Pose pose : Ring(meters / times)) {
+    for (int i = 0; i < times; ++i) {
+      poses.push_back({times * pose.x + i * std::cos(pose.heading),
+                       times * pose.y + i * std::sin(pose.heading), 0.0,
+                       pose.heading});
+    }
+  }
+  return poses;
+}
+
+// A verifier confirms what is some metres off, and the next candidate would be
+// found from there, and so on.
+TEST(SearchBeliefTest, AClosureOutweighsOnlyTheMarksThatItContradicts) {
+  std::mt19937_64 random = SeededRandom();
+  const std::vector<PoseSample> samples = oracle::WithCovariances(
+      oracle::DrawEstimate(WideRing(4600.0, 3), SomeNoise(), random),
+      SomeNoise());
+  Drive drive((DriveSettings()));
+  Search search(&drive);
+  const CandidateSet alone =
+      Stream(samples, 100, &drive, &search).back().second;
+  ASSERT_FALSE(alone.candidates.empty());
+  const NodeIndex here = *alone.query;
+  const NodeIndex there = alone.candidates[0].matched;
+  const auto meters_moved = [&](NodeIndex confirmed) {
+    const PoseGraph& graph = drive.graph();
+    const std::uint64_t query = graph.node(here).sequence;
+    const std::uint64_t matched = graph.node(confirmed).sequence;
+    drive.AddLoopClosure(query, matched, drive.revision() + 1);
+    const CandidateSet set = *search.At(here, drive.settings().search, nullptr);
+    drive.RemoveLoopClosure(query, matched, drive.revision() + 1);
+    return graph.node(set.candidates.at(0).matched).travelled_meters -
+           graph.node(there).travelled_meters;
+  };
+  // Twelve meters, and fifty, either way.
+  EXPECT_NEAR(meters_moved(there - 6), 0.0, 4.0);
+  EXPECT_NEAR(meters_moved(there + 6), 0.0, 4.0);
+  EXPECT_LT(meters_moved(there - 25), -25.0);
+  EXPECT_GT(meters_moved(there + 25), 25.0);
 }
 
 TEST(SearchBeliefTest, LearnsThatClaimsAreTooWideOrTooNarrow) {
