@@ -100,10 +100,11 @@ StateMatrix<D> MeasuredFromQuery(const MeasuredLoop& loop,
                   loop.query.pose, matched_from_query);
 }
 
-namespace {
+double MostOfAgreeing(int degrees_of_freedom) {
+  return ChiSquaredQuantile(static_cast<double>(degrees_of_freedom),
+                            kAgreement);
+}
 
-// Gamma of T x_m as c sees it, in the axes of u, with T's own error and what
-// the two poses have added to it.
 template <int D>
 StateMatrix<D> ErrorOfMatched(const FrameNodes& nodes,
                               const FrameRelation& relation,
@@ -114,6 +115,25 @@ StateMatrix<D> ErrorOfMatched(const FrameNodes& nodes,
                       ToMatrix<D>(nodes.graph.covariance(loop.matched))),
       relation.transform.heading);
 }
+
+template <int D>
+void Correct(const Pose& matched, const Pose& placed,
+             const StateVector<D>& innovation, const StateMatrix<D>& prior,
+             const StateMatrix<D>& sum, FrameRelation* relation) {
+  const StateMatrix<D> gain =
+      Eigen::LDLT<StateMatrix<D>>(sum).solve(prior).transpose();
+  const StateVector<D> moved = gain * innovation;
+  Pose corrected = placed;
+  corrected.x += moved(0);
+  corrected.y += moved(1);
+  if (D == 4) corrected.z += moved(D - 2);
+  corrected.heading = WrapHeading(corrected.heading + moved(D - 1));
+  relation->transform = Compose(corrected, Inverse(matched));
+  relation->fixed =
+      ToMatrix<4>(ToCovariance<D>(Symmetric<D>(prior - gain * prior)));
+}
+
+namespace {
 
 // The matched pose in u as the closure has it, and the covariance of that.
 template <int D>
@@ -189,8 +209,7 @@ FrameRelation TiedIn(const FrameNodes& nodes, const FrameRelation& relation,
   const StateMatrix<D> sum = gamma + seen.covariance;
   const auto distance = Evaluate<D>(sum, innovation);
   const bool contradicts =
-      !distance || distance->squared_mahalanobis >
-                       ChiSquaredQuantile(static_cast<double>(D), kAgreement);
+      !distance || distance->squared_mahalanobis > MostOfAgreeing(D);
   if (contradicts) {
     const bool has_links = relation.state == FrameState::kProvisional ||
                            relation.state == FrameState::kKnown;
@@ -206,25 +225,16 @@ FrameRelation TiedIn(const FrameNodes& nodes, const FrameRelation& relation,
         (drift_scale * drift_scale) * Reduced<D>(relation.drift);
     prior = Swung<D>(own, at, placed);
   }
-  const StateMatrix<D> gain =
-      Eigen::LDLT<StateMatrix<D>>(sum).solve(prior).transpose();
-  const StateVector<D> moved = gain * innovation;
-  Pose corrected = placed;
-  corrected.x += moved(0);
-  corrected.y += moved(1);
-  if (D == 4) corrected.z += moved(D - 2);
-  corrected.heading = WrapHeading(corrected.heading + moved(D - 1));
   FrameRelation tied;
+  Correct<D>(matched, placed, innovation, prior, sum, &tied);
   tied.links = relation.links + 1;
   tied.state = tied.links >= kConsistentLinks ? FrameState::kKnown
                                               : FrameState::kProvisional;
-  tied.transform = Compose(corrected, Inverse(matched));
   tied.place = nodes.graph.pose(loop.matched);
   if (nodes.have_references()) {
     tied.asking_node = loop.query;
     tied.other_node = loop.matched;
   }
-  tied.fixed = ToMatrix<4>(ToCovariance<D>(Symmetric<D>(prior - gain * prior)));
   return tied;
 }
 
@@ -289,6 +299,18 @@ StateMatrix<D> FramePair<D>::Covariance(
 
 template class FramePair<3>;
 template class FramePair<4>;
+template StateMatrix<3> ErrorOfMatched<3>(const FrameNodes&,
+                                          const FrameRelation&,
+                                          const ConfirmedLoop&, double);
+template StateMatrix<4> ErrorOfMatched<4>(const FrameNodes&,
+                                          const FrameRelation&,
+                                          const ConfirmedLoop&, double);
+template void Correct<3>(const Pose&, const Pose&, const StateVector<3>&,
+                         const StateMatrix<3>&, const StateMatrix<3>&,
+                         FrameRelation*);
+template void Correct<4>(const Pose&, const Pose&, const StateVector<4>&,
+                         const StateMatrix<4>&, const StateMatrix<4>&,
+                         FrameRelation*);
 template StateMatrix<3> MeasuredFromQuery<3>(const MeasuredLoop&, const Pose&);
 template StateMatrix<4> MeasuredFromQuery<4>(const MeasuredLoop&, const Pose&);
 template std::optional<Innovation<3>> InnovationAcross<3>(const FrameNodes&,

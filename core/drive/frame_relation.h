@@ -94,6 +94,25 @@ FrameRelation Compose(const FrameNodes& nodes, const FrameRelation& to_v,
 FrameRelation TiedBy(const FrameNodes& nodes, const FrameRelation& relation,
                      const ConfirmedLoop& loop, double drift_scale);
 
+// The greatest squared Mahalanobis distance of an innovation that does not
+// contradict a relation.
+double MostOfAgreeing(int degrees_of_freedom);
+
+// Gamma of T x_m as c sees it, in the axes of u, with T's own error and what
+// the two poses have added to it. REQUIRES: the relation is tied.
+template <int D>
+StateMatrix<D> ErrorOfMatched(const FrameNodes& nodes,
+                              const FrameRelation& relation,
+                              const ConfirmedLoop& loop, double drift_scale);
+
+// Kalman's update of T x_m: lets the relation place the pose `matched` where
+// the innovation moves it from `placed`, whose error has the covariance
+// `prior`; `sum` is that of the innovation.
+template <int D>
+void Correct(const Pose& matched, const Pose& placed,
+             const StateVector<D>& innovation, const StateMatrix<D>& prior,
+             const StateMatrix<D>& sum, FrameRelation* relation);
+
 // The innovation of a measured closure of the two frames and its covariance
 // without that of the measurement, in the axes of u; nothing where the frames
 // are not tied.

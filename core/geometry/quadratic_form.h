@@ -21,7 +21,7 @@ template <int D>
 std::optional<QuadraticForm> Evaluate(const StateMatrix<D>& gamma,
                                       const StateVector<D>& d);
 
-// As far as Evaluate() can tell.
+// Whether Evaluate() takes the matrix for positive definite.
 template <int D>
 bool IsPositiveDefinite(const StateMatrix<D>& matrix) {
   return Evaluate<D>(matrix, StateVector<D>::Zero()).has_value();

@@ -404,7 +404,7 @@ void Search::Impl::RememberIfMark(NodeIndex query,
   if (found.ok()) marks_.Keep(mark, *found);
 }
 
-// What a verifier has judged counts for more: of the marks before a closure
+// A verifier's word counts for more than marks: of those before a closure
 // only those count that agree with it, and a place that was rejected shows
 // none. How frames lie a closure shows better than any mark before it. Drift
 // before the query's recording is another.

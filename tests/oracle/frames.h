@@ -212,9 +212,9 @@ class WideFrames {
     return shown;
   }
 
-  // What of the drift shown node j has too, which does not lie before the
-  // place, in the axes of the asking frame: the mean, and by how much it leaves
-  // the covariance less.
+  // Node j, which does not lie before the place, has a part of the drift shown,
+  // in the axes of the asking frame: the mean, and by how much it leaves the
+  // covariance less.
   std::pair<WideVector, WideMatrix> HasToo(const WideTie& shown,
                                            core::NodeIndex j,
                                            Wide drift_scale) const {
@@ -248,8 +248,8 @@ class WideFrames {
   }
 
  private:
-  // Lets the tie place what was placed there, with this covariance, so that the
-  // difference of what is seen from it is halved as the two covariances say.
+  // Lets the tie place what was placed there between that and where it is seen,
+  // which differs by this, as the covariances of the two say.
   void Correct(const WidePose& placed, const WideVector& difference,
                const WideMatrix& prior, const WideMatrix& noise,
                WideTie* tie) const {

@@ -430,7 +430,7 @@ class SurvivorLists {
     double scale = 1.0;
     Wide log_weight = 0.0L;
     std::optional<core::ConfirmedLoop> loop;
-    // What marks have shown; then no closure counts.
+    // The pairs by which marks show the drift; then no closure counts.
     std::vector<core::ConfirmedLoop> pairs = {};
     // In another frame.
     Wide fixed_scale = 1.0L;

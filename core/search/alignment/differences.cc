@@ -93,11 +93,7 @@ void Differences<D>::MakeTied(const FramePair<D>& pair, bool is_before,
   terms.node_scale = pair.node_scale(is_before);
   terms.x = pair.place().x;
   terms.y = pair.place().y;
-  for (int r = 0; r < D; ++r) {
-    for (int c = 0; c < D; ++c) {
-      terms.swung[r][c] = pair.swung(is_before)(r, c);
-    }
-  }
+  FillRows<D>(pair.swung(is_before), terms.swung);
 }
 
 template <int D>

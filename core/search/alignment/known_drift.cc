@@ -115,22 +115,11 @@ std::optional<KnownDrift<D>> KnownDrift<D>::Make(const Query& query,
 
 template <int D>
 KnownDriftTerms KnownDrift<D>::Terms() const {
-  const auto rows = [](const StateMatrix<D>& m, double(&to)[4][4]) {
-    for (int r = 0; r < D; ++r) {
-      for (int c = 0; c < D; ++c) to[r][c] = m(r, c);
-    }
-  };
   KnownDriftTerms terms;
-  const auto fill = [&](const LoopEnd<D>& end, KnownDriftTerms::LoopNode* to) {
-    to->index = end.index;
-    to->x = end.pose.x;
-    to->y = end.pose.y;
-    rows(end.covariance, to->covariance);
-  };
-  fill(closure_.query, &terms.query);
-  fill(closure_.matched, &terms.matched);
-  rows(query_part_, terms.query_part);
-  rows(information_, terms.information);
+  terms.query = LoopNodeOf<D>(closure_.query);
+  terms.matched = LoopNodeOf<D>(closure_.matched);
+  FillRows<D>(query_part_, terms.query_part);
+  FillRows<D>(information_, terms.information);
   for (int r = 0; r < D; ++r) terms.loop_difference[r] = closure_.difference(r);
   terms.variance_scale = variance_scale_;
   return terms;

@@ -35,6 +35,20 @@ struct LoopEnd {
   StateMatrix<D> covariance;
 };
 
+// The form that the kernel takes.
+template <int D>
+void FillRows(const StateMatrix<D>& matrix, double (&rows)[4][4]) {
+  for (int r = 0; r < D; ++r) {
+    for (int c = 0; c < D; ++c) rows[r][c] = matrix(r, c);
+  }
+}
+template <int D>
+KnownDriftTerms::LoopNode LoopNodeOf(const LoopEnd<D>& end) {
+  KnownDriftTerms::LoopNode node{end.index, end.pose.x, end.pose.y, {}};
+  FillRows<D>(end.covariance, node.covariance);
+  return node;
+}
+
 template <int D>
 LoopEnd<D> EndAt(const PoseGraph& graph, NodeIndex i);
 

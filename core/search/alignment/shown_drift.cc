@@ -7,24 +7,10 @@
 #include "core/geometry/frame_transform.h"
 #include "core/geometry/heading.h"
 #include "core/geometry/quadratic_form.h"
-#include "core/noise/chi_squared.h"
 #include "core/noise/dead_reckoning.h"
 #include "core/search/alignment/known_drift.h"
 
 namespace revisit::core {
-namespace {
-
-// A pair whose innovation is improbable to this degree contradicts the tie.
-constexpr double kAgreement = 0.99;
-
-template <int D>
-void FillRows(const StateMatrix<D>& matrix, double (&rows)[4][4]) {
-  for (int r = 0; r < D; ++r) {
-    for (int c = 0; c < D; ++c) rows[r][c] = matrix(r, c);
-  }
-}
-
-}  // namespace
 
 template <int D>
 std::optional<ShownDrift<D>> ShownDrift<D>::Make(
@@ -33,11 +19,11 @@ std::optional<ShownDrift<D>> ShownDrift<D>::Make(
   assert(model.correlation.noise().closures_show_drift);
   StateMatrix<D> tolerance = StateMatrix<D>::Zero();
   AddTolerance<D>(kConfirmedTolerance, &tolerance);
+  const LoopEnd<D> end = EndAt<D>(query.graph, query.node);
   ShownDrift shown(query.graph, model);
   for (const ConfirmedLoop& pair : pairs) {
     assert(pair.matched < pair.query && pair.query <= query.node);
     const LoopEnd<D> c = EndAt<D>(query.graph, pair.query);
-    const LoopEnd<D> end = EndAt<D>(query.graph, query.node);
     if (GrowsForward<D>(EndAt<D>(query.graph, pair.matched), c, tolerance) &&
         GrowsForward<D>(c, end, tolerance)) {
       shown.Learn(pair);
@@ -77,31 +63,18 @@ std::optional<FrameRelation> ShownDrift<D>::Updated(const FrameRelation& tie,
     seen.heading = WrapHeading(seen.heading + kPi);
   }
   const Pose placed = Compose(tie.transform, matched);
-  const FramePair<D> compared(nodes(), tie, pair.query, model_.inflation);
-  const StateMatrix<D> prior = Turned<D>(
-      compared.Covariance(pair.matched, matched,
-                          ToMatrix<D>(graph_->covariance(pair.matched))),
-      tie.transform.heading);
+  const StateMatrix<D> prior =
+      ErrorOfMatched<D>(nodes(), tie, pair, model_.inflation);
   StateMatrix<D> sum = prior;
   AddTolerance<D>(kConfirmedTolerance, &sum);
   const StateVector<D> innovation = ToVector<D>(Difference(seen, placed));
   const auto distance = Evaluate<D>(sum, innovation);
-  const double most = may_contradict ? ChiSquaredQuantile(D, kAgreement)
+  const double most = may_contradict ? MostOfAgreeing(D)
                                      : std::numeric_limits<double>::infinity();
   if (!distance || distance->squared_mahalanobis > most) return std::nullopt;
-  const StateMatrix<D> gain =
-      Eigen::LDLT<StateMatrix<D>>(sum).solve(prior).transpose();
-  const StateVector<D> moved = gain * innovation;
-  Pose corrected = placed;
-  corrected.x += moved(0);
-  corrected.y += moved(1);
-  if (D == 4) corrected.z += moved(D - 2);
-  corrected.heading = WrapHeading(corrected.heading + moved(D - 1));
   FrameRelation updated;
   updated.state = FrameState::kSame;
-  updated.transform = Compose(corrected, Inverse(matched));
-  updated.fixed =
-      ToMatrix<4>(ToCovariance<D>(Symmetric<D>(prior - gain * prior)));
+  Correct<D>(matched, placed, innovation, prior, sum, &updated);
   updated.place = matched;
   updated.asking_node = pair.query;
   updated.other_node = pair.matched;
@@ -124,12 +97,10 @@ KnownDriftTerms ShownDrift<D>::Bridge() const {
   KnownDriftTerms terms;
   // With these, the kernel's X is Psi(j, m) S_m Psi(c, m)^T - S_j Psi^T, which
   // is -Q_j Psi^T.
-  terms.query = {c.index, c.pose.x, c.pose.y, {}};
-  FillRows<D>(c.covariance, terms.query.covariance);
-  terms.matched = {m.index, m.pose.x, m.pose.y, {}};
-  FillRows<D>(
-      m.covariance * DeadReckoningTransition<D>(m.pose, c.pose).transpose(),
-      terms.matched.covariance);
+  terms.query = LoopNodeOf<D>(c);
+  terms.matched = LoopNodeOf<D>(
+      {m.index, m.pose,
+       m.covariance * DeadReckoningTransition<D>(m.pose, c.pose).transpose()});
   const StateMatrix<D> known =
       AddedOver(newest) +
       Swung<D>(Turned<D>(ToMatrix<D>(ToCovariance<4>(tie_->fixed)),

@@ -65,7 +65,7 @@ class ShownDrift {
   // How the past lies to the drive. P is that of this scale of the claims.
   const FrameRelation& tie() const { return *tie_; }
 
-  // What the drift that is shown says of the errors of nodes after m_n, in the
+  // The drift shown as far as nodes after m_n have it, in the
   // form that the kernel takes: K y is added to their differences from the
   // query, K Psi Q_j subtracted from the covariances.
   KnownDriftTerms Bridge() const;

@@ -135,7 +135,7 @@ TEST(ShownDriftTest, PairsWhoseCovariancesDoNotGrowDoNotCount) {
   PoseGraph graph;
   for (NodeIndex i = 0; i < growing.size(); ++i) {
     Node node = growing.node(i);
-    // As an optimiser leaves them: surer than what came before.
+    // An optimiser leaves nodes surer than those that came before.
     if (i >= 450) node.covariance = growing.node(10).covariance;
     graph.AddNode(node, i == 0, std::nullopt);
   }

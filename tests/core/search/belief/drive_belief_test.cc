@@ -31,15 +31,27 @@ PoseGraph StraightRoad(NodeIndex nodes) {
 }
 
 // A mark that speaks for one scale, and for a place.
-MarkEvidence Speaking(std::size_t scale, double nats, NodeIndex node = 500,
-                      NodeIndex matched = 100) {
+MarkEvidence Speaking(std::size_t scale, double nats) {
   MarkEvidence mark;
-  mark.node = node;
-  mark.matched = matched;
+  mark.node = 500;
+  mark.matched = 100;
   mark.log_evidence[scale] = nats;
   mark.log_all_evidence[scale] = nats;
   mark.log_matched_odds.fill(-1.0);
   mark.log_matched_odds[scale] = nats;
+  return mark;
+}
+
+// A mark of which all places together have ln odds of 12, under each scale, and
+// that which it found so much.
+MarkEvidence MarkAt(NodeIndex node, NodeIndex matched,
+                    double log_matched_odds) {
+  MarkEvidence mark;
+  mark.node = node;
+  mark.log_evidence.fill(12.0);
+  mark.log_all_evidence.fill(12.0);
+  mark.matched = matched;
+  mark.log_matched_odds.fill(log_matched_odds);
   return mark;
 }
 
@@ -94,11 +106,7 @@ TEST(DriveBeliefTest, AMarkWithoutAnyPlaceTeachesNothing) {
 TEST(DriveBeliefTest, ASurePlaceShowsTheDriftWithinReach) {
   const PoseGraph graph = StraightRoad(2000);
   DriveBelief belief;
-  MarkEvidence mark = Speaking(4, 12.0, 1500, 700);
-  mark.log_evidence.fill(12.0);
-  mark.log_all_evidence.fill(12.0);
-  mark.log_matched_odds.fill(12.0 - 1e-6);
-  belief.LearnDrift(graph, Recordings(), mark, 800.0);
+  belief.LearnDrift(graph, Recordings(), MarkAt(1500, 700, 12.0 - 1e-6), 800.0);
   ASSERT_EQ(belief.drifts(0).size(), 1u);
   const WeighedDrift drift = belief.drifts(0)[0];
   ASSERT_EQ(drift.pairs.size(), 1u);
@@ -113,11 +121,7 @@ TEST(DriveBeliefTest, ASurePlaceShowsTheDriftWithinReach) {
 TEST(DriveBeliefTest, AnUnsurePlaceShowsNoDrift) {
   const PoseGraph graph = StraightRoad(2000);
   DriveBelief belief;
-  MarkEvidence mark = Speaking(4, 0.0, 1500, 700);
-  mark.log_evidence.fill(12.0);
-  mark.log_all_evidence.fill(12.0);
-  mark.log_matched_odds.fill(11.7);
-  belief.LearnDrift(graph, Recordings(), mark, 800.0);
+  belief.LearnDrift(graph, Recordings(), MarkAt(1500, 700, 11.7), 800.0);
   EXPECT_TRUE(belief.drifts(0).empty());
 }
 
@@ -125,11 +129,8 @@ TEST(DriveBeliefTest, LaterPlacesOutweighEarlierOnesAndTheBestAreKept) {
   const PoseGraph graph = StraightRoad(3000);
   DriveBelief belief;
   for (NodeIndex k = 0; k < 5; ++k) {
-    MarkEvidence mark = Speaking(4, 0.0, 2000 + 25 * k, 700 + 25 * k);
-    mark.log_evidence.fill(12.0);
-    mark.log_all_evidence.fill(12.0);
-    mark.log_matched_odds.fill(11.95);
-    belief.LearnDrift(graph, Recordings(), mark, 800.0);
+    belief.LearnDrift(graph, Recordings(),
+                      MarkAt(2000 + 25 * k, 700 + 25 * k, 11.95), 800.0);
   }
   ASSERT_EQ(belief.drifts(0).size(), kMostDrifts);
   EXPECT_EQ(belief.drifts(0).back().pairs.back().query, 2100);
@@ -145,11 +146,10 @@ TEST(DriveBeliefTest, ADriftIsShownByTheNewestPlacesTogether) {
   const PoseGraph graph = StraightRoad(3000);
   DriveBelief belief;
   for (NodeIndex k = 0; k < 10; ++k) {
-    MarkEvidence mark = Speaking(4, 0.0, 2000 + 25 * k, 700 + 25 * k);
-    mark.log_all_evidence.fill(12.0);
     // One of them is not sure enough.
-    mark.log_matched_odds.fill(k == 8 ? 10.0 : 11.95);
-    belief.LearnDrift(graph, Recordings(), mark, 800.0);
+    belief.LearnDrift(
+        graph, Recordings(),
+        MarkAt(2000 + 25 * k, 700 + 25 * k, k == 8 ? 10.0 : 11.95), 800.0);
   }
   const std::vector<ConfirmedLoop> pairs = belief.drifts(0).back().pairs;
   ASSERT_EQ(pairs.size(), kMostPairs);
@@ -164,10 +164,7 @@ TEST(DriveBeliefTest, ADriftIsShownByTheNewestPlacesTogether) {
 TEST(DriveBeliefTest, ADriftReachesNoFartherThanToItsMark) {
   const PoseGraph graph = StraightRoad(3000);
   DriveBelief belief;
-  MarkEvidence mark = Speaking(4, 0.0, 1000, 700);
-  mark.log_all_evidence.fill(12.0);
-  mark.log_matched_odds.fill(11.99);
-  belief.LearnDrift(graph, Recordings(), mark, 1500.0);
+  belief.LearnDrift(graph, Recordings(), MarkAt(1000, 700, 11.99), 1500.0);
   ASSERT_EQ(belief.drifts(0).size(), 1u);
   EXPECT_EQ(belief.drifts(0)[0].reach.last, 1000);
 }
