@@ -317,5 +317,6 @@ def test_demo_runs_from_the_packages_within_half_a_minute(machine):
     installed(machine)
     assert machine.run("sh", "-c", "command -v c++ cmake", check=False) == ""
     shown = machine.run("sh", "-c", "cd /tmp && revisit demo", seconds=30)
-    assert re.search(r"^recall +0\.9", shown, re.MULTILINE), shown[-2000:]
+    recall = re.search(r"^recall +([0-9.]+)", shown, re.MULTILINE)
+    assert recall and float(recall[1]) >= 0.9, shown[-2000:]
     assert machine.run("head", "-c", "4", "/tmp/demo.svg") == "<svg"
