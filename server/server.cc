@@ -204,6 +204,7 @@ void RevisitServer::State::MakeService() {
   context.storage = store.storage.get();
   context.executor = parts->vehicles->read_executor();
   context.fleet = parts->vehicles->fleet();
+  context.feed = parts->vehicles->feed();
   context.drain = &parts->drain;
   context.gatekeeper = parts->identities->gatekeeper();
   context.log = log;
@@ -283,6 +284,7 @@ void RevisitServer::State::CollectMetrics(const Parts& from,
   run_notes->CollectMetrics(metrics);
   from.vehicles->census()->CollectMetrics(metrics);
   from.vehicles->fleet()->CollectMetrics(metrics);
+  from.vehicles->feed()->CollectMetrics(metrics);
   from.identities->CollectMetrics(metrics);
   log->CollectMetrics("server", metrics);
   if (audit != nullptr) audit->CollectMetrics(metrics);

@@ -74,7 +74,8 @@ Fleet::Options FleetOptionsOf(const ServerSettings& settings,
 
 Vehicles::Vehicles(const ServerSettings& settings, Storage* storage,
                    bool is_shared, const Log* log)
-    : admission_(LimitsOf(settings),
+    : feed_(storage, EventFeed::Options()),
+      admission_(LimitsOf(settings),
                  std::min(SearchThreads(settings), Processors()),
                  ResidentBytes),
       executor_("vehicles", settings.worker_threads > 0
@@ -90,6 +91,9 @@ Vehicles::Vehicles(const ServerSettings& settings, Storage* storage,
                     : std::nullopt)) {
   Fleet::Options options = FleetOptionsOf(settings, is_shared, log);
   options.census = census_;
+  options.checks.codec = &check_codec_;
+  options.checks.max_search_steps = settings.limits.max_search_steps;
+  options.checks.monitor = std::make_shared<CheckMonitor>();
   fleet_ = std::make_unique<Fleet>(
       storage, &codec_, Lanes(&executor_, &read_executor_, &search_executor_),
       options);

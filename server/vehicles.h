@@ -8,6 +8,8 @@
 
 #include "server/base/logging.h"
 #include "server/connections/admission.h"
+#include "server/conversion/stored_checks_codec.h"
+#include "server/feed/event_feed.h"
 #include "server/records/proto_record_codec.h"
 #include "server/sessions/executor.h"
 #include "server/sessions/fair_executor.h"
@@ -34,12 +36,16 @@ class Vehicles {
   const Admission* admission() const { return &admission_; }
   // For the vehicles' short work.
   Executor* executor() { return &executor_; }
+  EventFeed* feed() { return &feed_; }
+  const EventFeed* feed() const { return &feed_; }
   // For long reads of the store.
   Executor* read_executor() { return &read_executor_; }
 
  private:
   // The fleet needs those above it until its work is done.
   ProtoRecordCodec codec_;
+  ProtoCheckCodec check_codec_;
+  EventFeed feed_;
   Admission admission_;
   Executor executor_;
   Executor read_executor_;

@@ -107,6 +107,10 @@ struct Drive::Impl {
   std::optional<std::pair<NodeIndex, NodeIndex>> LoopEdge(
       std::uint64_t query_sequence, std::uint64_t matched_sequence) const;
   void ScheduleNextCheck();
+  // The number of the first check of a vehicle, counted in check intervals.
+  std::int64_t FirstCheck() const;
+  // How many check intervals the node has reached.
+  std::int64_t ChecksReached(NodeIndex node) const;
   // Where Gamma has no closed form, searches go through all nodes in any case,
   // and nodes take the most memory: they do without indexes.
   bool has_indexes() const {
@@ -203,18 +207,59 @@ void Drive::Impl::ExtendIndexes() {
 // The next check is the first that lies after all present nodes and leaves room
 // for the sequence and as much history.
 void Drive::Impl::ScheduleNextCheck() {
-  const double interval = settings.check_interval_meters;
-  const double first =
-      std::ceil(2.0 * settings.search.sequence_length_meters / interval -
-                kCheckTolerance);
-  const double next =
-      graph.size() == 0
-          ? 0.0
-          : std::floor(graph.node(graph.size() - 1).travelled_meters /
-                           interval +
-                       kCheckTolerance) +
-                1.0;
-  next_check = static_cast<std::int64_t>(std::max(first, next));
+  const std::int64_t next =
+      graph.size() == 0 ? 0 : ChecksReached(graph.size() - 1) + 1;
+  next_check = std::max(FirstCheck(), next);
+}
+
+std::int64_t Drive::Impl::FirstCheck() const {
+  return static_cast<std::int64_t>(
+      std::ceil(2.0 * settings.search.sequence_length_meters /
+                    settings.check_interval_meters -
+                kCheckTolerance));
+}
+
+std::int64_t Drive::Impl::ChecksReached(NodeIndex node) const {
+  return static_cast<std::int64_t>(std::floor(
+      graph.node(node).travelled_meters / settings.check_interval_meters +
+      kCheckTolerance));
+}
+
+std::optional<DueCheck> Drive::NextCheck(std::uint64_t after) const {
+  const PoseGraph& graph = impl_->graph;
+  const std::optional<NodeIndex> before = graph.NodeAtOrBefore(after);
+  NodeIndex low = before ? *before + 1 : 0;
+  const std::int64_t number =
+      std::max(impl_->FirstCheck(),
+               before ? impl_->ChecksReached(*before) + 1 : std::int64_t{0});
+  // The first node that has reached this check.
+  NodeIndex high = graph.size();
+  while (low < high) {
+    const NodeIndex middle = low + (high - low) / 2;
+    if (impl_->ChecksReached(middle) >= number) {
+      high = middle;
+    } else {
+      low = middle + 1;
+    }
+  }
+  if (low == graph.size()) return std::nullopt;
+  const Node node = graph.node(low);
+  DueCheck due;
+  // The pose with which the node came.
+  due.sequence = node.sequence + (node.fraction > 0.0 ? 1 : 0);
+  due.node = graph.NodeAtOrBefore(due.sequence).value_or(low);
+  return due;
+}
+
+std::int64_t Drive::ChecksBehind(std::uint64_t after) const {
+  const PoseGraph& graph = impl_->graph;
+  if (graph.size() == 0) return 0;
+  const std::optional<NodeIndex> before = graph.NodeAtOrBefore(after);
+  const std::int64_t first =
+      std::max(impl_->FirstCheck(),
+               before ? impl_->ChecksReached(*before) + 1 : std::int64_t{0});
+  return std::max(std::int64_t{0},
+                  impl_->ChecksReached(graph.size() - 1) - first + 1);
 }
 
 RetentionNeeds Drive::Impl::MakeRetentionNeeds() const {

@@ -53,6 +53,16 @@ struct AppendResult {
   std::vector<Finding> findings;
 };
 
+// A check that is due at a pose: it is made at the last node at or before it.
+struct DueCheck {
+  std::uint64_t sequence = 0;
+  NodeIndex node = 0;
+};
+
+inline bool operator==(const DueCheck& a, const DueCheck& b) {
+  return a.sequence == b.sequence && a.node == b.node;
+}
+
 class Drive {
  public:
   // REQUIRES: FindProblems(settings) is empty.
@@ -79,6 +89,18 @@ class Drive {
   // all; revision greater than revision().
   AppendResult Append(const std::vector<PoseSample>& samples,
                       std::uint64_t revision);
+
+  // The first check behind the pose `after`: that of the pose with which the
+  // first node came that lies at or after a multiple of the check interval,
+  // from two sequence lengths on, which no node up to that pose had reached. A
+  // function of graph and settings, so that it is found at any time which
+  // checks have been due: those of AppendResult, where each pose brings one
+  // node at most; of several that came with one pose, one at its last node.
+  std::optional<DueCheck> NextCheck(std::uint64_t after) const;
+  // How many multiples of the check interval lie behind the pose `after`, from
+  // two sequence lengths on: as many checks are due, or less where poses lie
+  // farther apart.
+  std::int64_t ChecksBehind(std::uint64_t after) const;
 
   // Goes on behind poses that were dropped: the next pose starts a segment, and
   // that is no jump. REQUIRES: the stretch begins at last_sequence() + 1 and

@@ -240,6 +240,11 @@ void EncodeVehicle(const VehicleView& view, v1::Vehicle* vehicle) {
   vehicle->set_first_kept_sequence(view.first_kept_sequence());
   vehicle->set_dropped_pose_count(view.drive.dropped().count());
   if (!view.config_is_known) return;
+  if (view.config.checks == ChecksKept::kStored) {
+    vehicle->set_checked_sequence(view.checks.checked_sequence);
+    vehicle->set_check_debt(
+        view.drive.ChecksBehind(view.checks.checked_sequence));
+  }
   EncodeConsistency(view.drive.consistency(),
                     AppliesInflation(view.config.drive),
                     vehicle->mutable_consistency());
@@ -264,6 +269,9 @@ void EncodeVehicle(const VehicleRecord& record, v1::Vehicle* vehicle) {
   vehicle->set_revision(record.revision);
   vehicle->set_durable_sequence(record.durable_sequence);
   vehicle->set_loop_closure_count(record.loop_closure_count);
+  if (config->checks == ChecksKept::kStored) {
+    vehicle->set_checked_sequence(record.checks.checked_sequence);
+  }
 }
 
 void EncodeAck(const Acknowledgement& acknowledgement, v1::Ack* ack) {

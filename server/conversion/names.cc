@@ -1,7 +1,9 @@
 #include "server/conversion/names.h"
 
 #include <algorithm>
+#include <limits>
 
+#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "server/sessions/vehicle_uid.h"
 
@@ -10,6 +12,15 @@ namespace {
 
 constexpr char kInvalidName[] = "INVALID_RESOURCE_NAME";
 constexpr char kVehicles[] = "vehicles/";
+constexpr char kChecks[] = "/checks/";
+constexpr char kCandidates[] = "/candidates/";
+
+// Reads a number from 1 on that is written as it would be here.
+bool ReadNumber(const std::string& text, std::uint64_t* number) {
+  return absl::SimpleAtoi(absl::string_view(text.data(), text.size()),
+                          number) &&
+         *number >= 1 && absl::StrCat(*number) == text;
+}
 
 std::string CollectionOf(PairKind kind) {
   return absl::StrCat("/", WordsOf(kind).collection, "/");
@@ -34,6 +45,15 @@ std::string DeletedPairResourceName(const std::string& vehicle_id,
 std::string RecordingName(const std::string& vehicle_id,
                           std::uint64_t first_sequence) {
   return absl::StrCat(VehicleName(vehicle_id), "/recordings/", first_sequence);
+}
+
+std::string CheckName(const std::string& vehicle_id, std::uint64_t sequence) {
+  return absl::StrCat(VehicleName(vehicle_id), kChecks, sequence);
+}
+
+std::string CheckCandidateName(const std::string& vehicle_id,
+                               std::uint64_t sequence, std::uint32_t number) {
+  return absl::StrCat(CheckName(vehicle_id, sequence), kCandidates, number);
 }
 
 absl::Status CheckId(const std::string& id, const FieldPath& path) {
@@ -93,6 +113,43 @@ absl::StatusOr<PosePairName> ParsePosePairName(PairKind kind,
   if (absl::Status status = CheckId(parsed.id, path); !status.ok()) {
     return status;
   }
+  return parsed;
+}
+
+absl::StatusOr<ParsedCheckName> ParseCheckName(const std::string& name,
+                                               const FieldPath& path) {
+  const std::size_t at = name.find(kChecks);
+  ParsedCheckName parsed;
+  if (at == std::string::npos ||
+      !ReadNumber(name.substr(at + sizeof(kChecks) - 1), &parsed.sequence)) {
+    return InvalidField(kInvalidName, path,
+                        absl::StrCat("got ", Quoted(name),
+                                     "; the form is "
+                                     "vehicles/{vehicle}/checks/{sequence}"));
+  }
+  absl::StatusOr<std::string> vehicle =
+      ParseVehicleName(name.substr(0, at), path);
+  if (!vehicle.ok()) return vehicle.status();
+  parsed.vehicle_id = *std::move(vehicle);
+  return parsed;
+}
+
+absl::StatusOr<ParsedCheckName> ParseCheckCandidateName(const std::string& name,
+                                                        const FieldPath& path) {
+  const std::size_t at = name.find(kCandidates);
+  std::uint64_t number = 0;
+  if (at == std::string::npos ||
+      !ReadNumber(name.substr(at + sizeof(kCandidates) - 1), &number) ||
+      number > std::numeric_limits<std::uint32_t>::max()) {
+    return InvalidField(
+        kInvalidName, path,
+        absl::StrCat("got ", Quoted(name),
+                     "; the form is vehicles/{vehicle}/checks/{sequence}/"
+                     "candidates/{number}"));
+  }
+  absl::StatusOr<ParsedCheckName> parsed =
+      ParseCheckName(name.substr(0, at), path);
+  if (parsed.ok()) parsed->number = static_cast<std::uint32_t>(number);
   return parsed;
 }
 

@@ -28,6 +28,12 @@ std::string DeletedPairResourceName(const std::string& vehicle_id,
 std::string RecordingName(const std::string& vehicle_id,
                           std::uint64_t first_sequence);
 
+// `vehicles/{vehicle}/checks/{sequence}`.
+std::string CheckName(const std::string& vehicle_id, std::uint64_t sequence);
+// `vehicles/{vehicle}/checks/{sequence}/candidates/{number}`.
+std::string CheckCandidateName(const std::string& vehicle_id,
+                               std::uint64_t sequence, std::uint32_t number);
+
 // INVALID_ARGUMENT (INVALID_RESOURCE_NAME) unless the id matches the pattern of
 // ids.
 absl::Status CheckId(const std::string& id, const FieldPath& path);
@@ -48,6 +54,18 @@ struct PosePairName {
 absl::StatusOr<PosePairName> ParsePosePairName(PairKind kind,
                                                const std::string& name,
                                                const FieldPath& path);
+
+// The parts of the name of a check, or of a candidate of one: then `number` is
+// not 0.
+struct ParsedCheckName {
+  std::string vehicle_id;
+  std::uint64_t sequence = 0;
+  std::uint32_t number = 0;
+};
+absl::StatusOr<ParsedCheckName> ParseCheckName(const std::string& name,
+                                               const FieldPath& path);
+absl::StatusOr<ParsedCheckName> ParseCheckCandidateName(const std::string& name,
+                                                        const FieldPath& path);
 
 }  // namespace revisit::server
 

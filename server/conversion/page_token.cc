@@ -32,9 +32,17 @@ std::string Seal(const std::string& list, const std::string& key) {
   return bytes;
 }
 
-// The key in a token, if the token is sealed to the list.
-std::optional<std::string> Open(const std::string& list,
-                                const std::string& token) {
+absl::Status NotIssued() {
+  return InvalidField(
+      "INVALID_PAGE_TOKEN", FieldPath().Field("page_token"),
+      "it was not issued for this list; take the "
+      "`next_page_token` of the page before, or leave it empty");
+}
+
+}  // namespace
+
+std::optional<std::string> OpenToken(const std::string& list,
+                                     const std::string& token) {
   std::string plain;
   if (absl::WebSafeBase64Unescape(absl::string_view(token.data(), token.size()),
                                   &plain) &&
@@ -44,15 +52,6 @@ std::optional<std::string> Open(const std::string& list,
   }
   return std::nullopt;
 }
-
-absl::Status NotIssued() {
-  return InvalidField(
-      "INVALID_PAGE_TOKEN", FieldPath().Field("page_token"),
-      "it was not issued for this list; take the "
-      "`next_page_token` of the page before, or leave it empty");
-}
-
-}  // namespace
 
 std::string MakePageToken(const std::string& list, const std::string& key) {
   const std::string plain = kVersion + Seal(list, key) + key;
@@ -69,7 +68,7 @@ std::string MakePageToken(const std::string& list, std::uint64_t sequence) {
 absl::StatusOr<std::string> ParsePageToken(const std::string& list,
                                            const std::string& token) {
   if (token.empty()) return std::string();
-  const std::optional<std::string> key = Open(list, token);
+  const std::optional<std::string> key = OpenToken(list, token);
   if (!key || !CheckId(*key, FieldPath()).ok()) return NotIssued();
   return *key;
 }
@@ -77,7 +76,7 @@ absl::StatusOr<std::string> ParsePageToken(const std::string& list,
 absl::StatusOr<std::uint64_t> ParseSequenceToken(const std::string& list,
                                                  const std::string& token) {
   if (token.empty()) return std::uint64_t{0};
-  const std::optional<std::string> key = Open(list, token);
+  const std::optional<std::string> key = OpenToken(list, token);
   std::uint64_t sequence = 0;
   if (!key || !absl::SimpleAtoi(absl::string_view(key->data(), key->size()),
                                 &sequence)) {
@@ -89,6 +88,29 @@ absl::StatusOr<std::uint64_t> ParseSequenceToken(const std::string& list,
     return NotIssued();
   }
   return sequence;
+}
+
+std::string MakePageToken(const std::string& list, const VehiclePlace& place) {
+  return MakePageToken(list,
+                       absl::StrCat(place.vehicle_id, "/", place.sequence));
+}
+
+absl::StatusOr<VehiclePlace> ParsePlaceToken(const std::string& list,
+                                             const std::string& token) {
+  if (token.empty()) return VehiclePlace();
+  const std::optional<std::string> key = OpenToken(list, token);
+  if (!key) return NotIssued();
+  const std::size_t slash = key->find('/');
+  VehiclePlace place;
+  place.vehicle_id = key->substr(0, slash);
+  if (slash == std::string::npos ||
+      !CheckId(place.vehicle_id, FieldPath()).ok() ||
+      !absl::SimpleAtoi(
+          absl::string_view(key->data() + slash + 1, key->size() - slash - 1),
+          &place.sequence)) {
+    return NotIssued();
+  }
+  return place;
 }
 
 absl::StatusOr<int> PageSize(int asked, int usual, int most) {

@@ -9,6 +9,7 @@
 #define REVISIT_SERVER_CONVERSION_PAGE_TOKEN_H_
 
 #include <cstdint>
+#include <optional>
 #include <string>
 
 #include "absl/status/statusor.h"
@@ -29,6 +30,21 @@ absl::StatusOr<std::string> ParsePageToken(const std::string& list,
 std::string MakePageToken(const std::string& list, std::uint64_t sequence);
 absl::StatusOr<std::uint64_t> ParseSequenceToken(const std::string& list,
                                                  const std::string& token);
+
+// What a token holds that was made for this list, whatever its form; nothing if
+// it was not.
+std::optional<std::string> OpenToken(const std::string& list,
+                                     const std::string& token);
+
+// A place in a list of several vehicles' resources.
+struct VehiclePlace {
+  std::string vehicle_id;
+  std::uint64_t sequence = 0;
+};
+std::string MakePageToken(const std::string& list, const VehiclePlace& place);
+// Before all vehicles for an empty token.
+absl::StatusOr<VehiclePlace> ParsePlaceToken(const std::string& list,
+                                             const std::string& token);
 
 // The page size to use for the one that was asked for: 0 means `usual`, more
 // than `most` means `most`. INVALID_ARGUMENT if negative.

@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <limits>
 #include <string>
+#include <vector>
 
 #include "absl/strings/str_cat.h"
 #include "google/protobuf/duration.pb.h"
@@ -160,7 +161,14 @@ absl::StatusOr<VehicleConfig> ReadSettings(const Message& settings,
   if (!settings.GetReflection()->HasField(settings, max_step)) {
     drive.max_step_meters = core::DefaultMaxStep(drive.node_spacing_meters);
   }
-  AddProblems(core::FindProblems(drive), settings, path, &violations);
+  std::vector<core::SettingProblem> problems = core::FindProblems(drive);
+  // Written so that NaN is one.
+  if (!(config.keep_probability >= 0.0 && config.keep_probability <= 1.0)) {
+    problems.push_back(
+        {"keep_probability",
+         absl::StrCat("got ", config.keep_probability, "; allowed is [0, 1]")});
+  }
+  AddProblems(problems, settings, path, &violations);
   if (violations.count() > 0) return violations.ToStatus();
   return config;
 }

@@ -40,6 +40,9 @@ inline constexpr NamedValue<core::LikelihoodForm> kLikelihoodForms[] = {
 inline constexpr NamedValue<core::AlignmentKind> kAlignments[] = {
     {"ALIGNMENT_RELATIVE", core::AlignmentKind::kRelative},
     {"ALIGNMENT_COMPOSITE", core::AlignmentKind::kComposite}};
+inline constexpr NamedValue<ChecksKept> kChecksKept[] = {
+    {"STORED_CHECKS_ON_REQUEST", ChecksKept::kOnRequest},
+    {"STORED_CHECKS_STORED", ChecksKept::kStored}};
 inline constexpr NamedValue<CoordinateFrame> kCoordinateFrames[] = {
     {"COORDINATE_FRAME_LOCAL", CoordinateFrame::kLocal},
     {"COORDINATE_FRAME_GEODETIC", CoordinateFrame::kGeodetic}};
@@ -60,6 +63,8 @@ void VisitSettings(Config* config, Visitor* visitor) {
   visitor->Switch("apply_inflation", &drive->apply_inflation);
   visitor->Number("max_inflation", &drive->max_inflation);
   visitor->Retention("retention", &drive->retention);
+  visitor->Enum("checks", kChecksKept, &config->checks);
+  visitor->Number("keep_probability", &config->keep_probability);
 
   auto* search = &drive->search;
   visitor->Enum("correlation_model", kCorrelationModels,

@@ -13,8 +13,10 @@ constexpr MethodRule kRules[] = {
     {"DeleteVehicle", Verb::kAdmin},
     {"ExportPoseGraph", Verb::kRead, false, true},
     {"FindCandidates", Verb::kRead},
+    {"GetCheck", Verb::kRead},
     {"GetServerInfo", std::nullopt},
     {"GetVehicle", Verb::kRead},
+    {"ListChecks", Verb::kRead},
     {"ListDeletedPosePairs", Verb::kRead},
     {"ListLoopClosures", Verb::kRead},
     {"ListPoses", Verb::kRead},
@@ -26,6 +28,7 @@ constexpr MethodRule kRules[] = {
     // StreamPoses also requires kRead where candidates are asked for.
     {"StreamPoses", Verb::kWrite, false, true},
     {"UpdateVehicle", Verb::kWrite},
+    {"WatchCandidates", Verb::kRead, false, true},
 };
 
 }  // namespace

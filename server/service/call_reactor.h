@@ -117,6 +117,9 @@ class CallReactor : public Reactor,
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     EndLocked(reason);
   }
+  // The caller's rights may be others than before, but they still have that to
+  // the call.
+  virtual void OnRightsKept() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {}
   // The caller waits for nothing any more.
   virtual void OnGivenUp() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {}
   // The call ends with this status: makes the response if that is OK, and gives
@@ -147,7 +150,11 @@ class CallReactor : public Reactor,
     const MutexLock lock(&mutex_);
     if (ended_) return;
     const absl::Status status = rights().Recheck();
-    if (!status.ok()) OnRightsLost(status);
+    if (status.ok()) {
+      OnRightsKept();
+    } else {
+      OnRightsLost(status);
+    }
   }
 
   void React(Reaction reaction) {

@@ -61,6 +61,12 @@ absl::Status CallerRights::AlsoNeeds(Verb verb) {
   return Check(*caller_, vehicle_, verb);
 }
 
+std::shared_ptr<const Caller> CallerRights::Now() const {
+  auto caller =
+      gatekeeper_->Admit(credentials_, std::chrono::system_clock::now());
+  return caller.ok() ? *std::move(caller) : Nobody();
+}
+
 absl::Status CallerRights::Recheck() const {
   const auto caller =
       gatekeeper_->Admit(credentials_, std::chrono::system_clock::now());

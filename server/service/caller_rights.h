@@ -40,6 +40,9 @@ class CallerRights {
   // After ChooseVehicle().
   absl::Status AlsoNeeds(Verb verb);
 
+  // The caller as one with the same credentials would be now: one who may do
+  // nothing, if they would not be let in.
+  std::shared_ptr<const Caller> Now() const;
   // OK, or the refusal that a new call of the same kind with the same
   // credentials would get now. Long calls check it from time to time.
   absl::Status Recheck() const;

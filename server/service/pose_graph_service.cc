@@ -3,6 +3,7 @@
 #include <memory>
 
 #include "server/service/append_poses.h"
+#include "server/service/check_calls.h"
 #include "server/service/export_pose_graph.h"
 #include "server/service/find_candidates.h"
 #include "server/service/list_poses.h"
@@ -14,6 +15,7 @@
 #include "server/service/stream_poses.h"
 #include "server/service/unary_call.h"
 #include "server/service/vehicle_calls.h"
+#include "server/service/watch_candidates.h"
 
 namespace revisit::server {
 namespace {
@@ -135,6 +137,24 @@ grpc::ServerUnaryReactor* PoseGraphService::ListDeletedPosePairs(
     grpc::ByteBuffer* response) {
   return Begin(service_, "ListDeletedPosePairs", server::ListDeletedPosePairs,
                call, request, response);
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::GetCheck(
+    grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+    grpc::ByteBuffer* response) {
+  return Begin(service_, "GetCheck", server::GetCheck, call, request, response);
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::ListChecks(
+    grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+    grpc::ByteBuffer* response) {
+  return Begin(service_, "ListChecks", server::ListChecks, call, request,
+               response);
+}
+
+grpc::ServerWriteReactor<grpc::ByteBuffer>* PoseGraphService::WatchCandidates(
+    grpc::CallbackServerContext* call, const grpc::ByteBuffer* request) {
+  return StartWatch(call, service_, request);
 }
 
 grpc::ServerReadReactor<grpc::ByteBuffer>* PoseGraphService::RevisePoses(

@@ -46,10 +46,14 @@ using WithCandidates = Service::WithRawCallbackMethod_FindCandidates<
             Service::WithRawCallbackMethod_DeleteRejectedCandidate<
                 Service::WithRawCallbackMethod_ListDeletedPosePairs<Base>>>>>;
 template <typename Base>
+using WithChecks = Service::WithRawCallbackMethod_GetCheck<
+    Service::WithRawCallbackMethod_ListChecks<
+        Service::WithRawCallbackMethod_WatchCandidates<Base>>>;
+template <typename Base>
 using WithOperations = Service::WithRawCallbackMethod_AcceptDataLoss<
     Service::WithRawCallbackMethod_GetServerInfo<Base>>;
-using AllMethods = WithVehicles<WithPoses<
-    WithLoopClosures<WithCandidates<WithOperations<Service::Service>>>>>;
+using AllMethods = WithVehicles<WithPoses<WithLoopClosures<
+    WithCandidates<WithChecks<WithOperations<Service::Service>>>>>>;
 
 }  // namespace service_internal
 
@@ -102,6 +106,15 @@ class PoseGraphService final : public service_internal::AllMethods {
   grpc::ServerUnaryReactor* ListDeletedPosePairs(
       grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
       grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* GetCheck(grpc::CallbackServerContext* call,
+                                     const grpc::ByteBuffer* request,
+                                     grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* ListChecks(grpc::CallbackServerContext* call,
+                                       const grpc::ByteBuffer* request,
+                                       grpc::ByteBuffer* response) override;
+  grpc::ServerWriteReactor<grpc::ByteBuffer>* WatchCandidates(
+      grpc::CallbackServerContext* call,
+      const grpc::ByteBuffer* request) override;
   grpc::ServerReadReactor<grpc::ByteBuffer>* RevisePoses(
       grpc::CallbackServerContext* call, grpc::ByteBuffer* response) override;
   grpc::ServerUnaryReactor* ListPoses(grpc::CallbackServerContext* call,

@@ -41,7 +41,8 @@ template <typename Pair, typename Response>
 absl::Status AddPair(const ServiceContext& service, const UnaryCallPtr& call,
                      PairKind kind, const std::string& parent,
                      const std::string& id, const Pair* pair,
-                     Pair* (Response::*added)(), Response* response) {
+                     const std::string& candidate, Pair* (Response::*added)(),
+                     Response* response) {
   const absl::StatusOr<std::string> vehicle =
       ParseVehicleName(parent, kRequest.Field("parent"));
   if (!vehicle.ok()) return vehicle.status();
@@ -52,9 +53,23 @@ absl::Status AddPair(const ServiceContext& service, const UnaryCallPtr& call,
       DecodePosePair(pair, id, call->rights().caller().identity);
   if (!record.ok()) return record.status();
   record->create_time_ns = NowNanoseconds();
+  PairAnswer answers;
+  answers.actor = call->rights().caller().identity;
+  if (!candidate.empty()) {
+    const absl::StatusOr<ParsedCheckName> named =
+        ParseCheckCandidateName(candidate, kRequest.Field("candidate"));
+    if (!named.ok()) return named.status();
+    if (named->vehicle_id != *vehicle) {
+      return InvalidField(
+          "INVALID_FIELD", kRequest.Field("candidate"),
+          absl::StrCat("got one of vehicle '", named->vehicle_id,
+                       "'; allowed are those of the parent, '", *vehicle, "'"));
+    }
+    answers.candidate = CandidateId{named->sequence, named->number};
+  }
   call->record().NameChanged(record->id);
   service.fleet->Session(*vehicle)->AddPosePair(
-      kind, *std::move(record),
+      kind, *std::move(record), std::move(answers),
       FinishWith<AddedPair>(
           call, [=, id_of_vehicle = *vehicle,
                  counts = service.counts](const AddedPair& stored) {
@@ -171,6 +186,7 @@ absl::Status AddLoopClosure(const ServiceContext& service,
   return AddPair(service, call, PairKind::kLoopClosure, request.parent(),
                  request.loop_closure_id(),
                  request.has_loop_closure() ? &request.loop_closure() : nullptr,
+                 request.candidate(),
                  &v1::AddLoopClosureResponse::mutable_loop_closure, response);
 }
 
@@ -199,6 +215,7 @@ absl::Status RejectCandidate(const ServiceContext& service,
       request.rejected_candidate_id(),
       request.has_rejected_candidate() ? &request.rejected_candidate()
                                        : nullptr,
+      request.candidate(),
       &v1::RejectCandidateResponse::mutable_rejected_candidate, response);
 }
 

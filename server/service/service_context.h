@@ -16,6 +16,7 @@ class AuditLog;
 class ServiceCounters;
 class ConnectionMeters;
 class Drain;
+class EventFeed;
 class Executor;
 class ExportedGraphs;
 class Fleet;
@@ -29,6 +30,7 @@ struct ServiceContext {
   // Runs the work that reads the store.
   Executor* executor = nullptr;
   Fleet* fleet = nullptr;
+  EventFeed* feed = nullptr;
   Drain* drain = nullptr;
   Gatekeeper* gatekeeper = nullptr;
   const Log* log = nullptr;

@@ -136,8 +136,12 @@ absl::Status CreateVehicle(const ServiceContext& service,
   if (absl::Status status = call->ChooseVehicle(id); !status.ok()) {
     return status;
   }
-  const absl::StatusOr<VehicleConfig> decoded = NewConfig(request);
+  absl::StatusOr<VehicleConfig> decoded = NewConfig(request);
   if (!decoded.ok()) return decoded.status();
+  if (service.limits.store_checks_by_default &&
+      request.vehicle().settings().checks() == v1::STORED_CHECKS_UNSPECIFIED) {
+    decoded->checks = ChecksKept::kStored;
+  }
   const VehicleConfig& config = *decoded;
   // `vehicle`: its view, or its record.
   const auto encode = [=](const auto& vehicle) {

@@ -389,6 +389,7 @@ std::vector<core::NodeIndex> Appends::Apply(Pending* append) {
   append->stamp_ahead = FindAhead(samples);
   vehicle_->head.Advance(samples.back().sequence, append->revision,
                          append->decoded->origin);
+  checks_->Consider();
   dropper_->Consider();
   return std::move(applied.checks_due);
 }

@@ -16,6 +16,7 @@
 #include "server/sessions/append_request.h"
 #include "server/sessions/appends_in_flight.h"
 #include "server/sessions/pose_dropper.h"
+#include "server/sessions/stored_checks.h"
 #include "server/sessions/vehicle_queue.h"
 #include "server/sessions/vehicle_state.h"
 
@@ -29,11 +30,13 @@ class Appends {
  public:
   // At most `max_pending` appends wait or are in flight.
   Appends(VehicleState* vehicle, VehicleQueue* queue,
-          AppendsInFlight* in_flight, PoseDropper* dropper, int max_pending)
+          AppendsInFlight* in_flight, PoseDropper* dropper,
+          StoredChecks* checks, int max_pending)
       : vehicle_(vehicle),
         queue_(queue),
         in_flight_(in_flight),
         dropper_(dropper),
+        checks_(checks),
         max_pending_(max_pending) {}
 
   // See VehicleSession::Append(). From any thread; stages the batch before it
@@ -95,6 +98,7 @@ class Appends {
   VehicleQueue* const queue_;
   AppendsInFlight* const in_flight_;
   PoseDropper* const dropper_;
+  StoredChecks* const checks_;
   const int max_pending_;
   std::atomic<int> pending_{0};
 

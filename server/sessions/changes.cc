@@ -222,7 +222,15 @@ void Changes::DropDamaged(const VehicleConfig& config, Then then) {
             vehicle_->codec->EncodeVehicle(config), next, std::move(done));
       },
       [this, config, next, then = std::move(then)](const absl::Status& status) {
-        if (status.ok()) vehicle_->head.AcceptDamage();
+        if (status.ok()) {
+          vehicle_->head.AcceptDamage();
+          ChecksHead checks = vehicle_->head.checks();
+          checks.checked_sequence = std::min(checks.checked_sequence,
+                                             vehicle_->head.durable_sequence());
+          vehicle_->head.set_checks(checks);
+          // That head may have been damaged too: the next write looks.
+          vehicle_->Doubt();
+        }
         then(status.ok() ? Apply(config, next) : status);
       });
 }
@@ -315,6 +323,7 @@ void Changes::WriteRevised(BatchSource batches, const RevisionResult& result,
 }
 
 void Changes::AddPosePair(PairKind kind, PosePairRecord pair,
+                          const PairAnswer& answers,
                           const PairCallback& callback) {
   const PosePairs& pairs = vehicle_->pairs.Of(kind);
   const auto found = pairs.find(pair.id);
@@ -332,20 +341,41 @@ void Changes::AddPosePair(PairKind kind, PosePairRecord pair,
     callback(allowed);
     return;
   }
-  if (measured->empty()) {
-    StorePair(kind, std::move(pair), nullptr, callback);
+  // One that is there already decides nothing anew.
+  const bool asks_checks = found == pairs.end() && checks_->HasCandidates();
+  if (measured->empty() && !asks_checks && !answers.candidate) {
+    StorePair(kind, std::move(pair), nullptr, std::nullopt, callback);
     return;
   }
   queue_->Hold();
-  queue_->PostLong([this, kind, pair = std::move(pair), measured, callback] {
-    const absl::Status read =
-        measured
-            ->ReadPoses(*vehicle_, vehicle_->head.config(),
-                        vehicle_->head.durable_sequence(), [] { return true; })
-            .status();
+  queue_->PostLong([this, kind, pair = std::move(pair), measured, asks_checks,
+                    answers, callback]() mutable {
+    absl::Status read;
+    if (!measured->empty()) {
+      read = measured
+                 ->ReadPoses(*vehicle_, vehicle_->head.config(),
+                             vehicle_->head.durable_sequence(),
+                             [] { return true; })
+                 .status();
+    }
+    // Its time goes with what it decides.
+    if (asks_checks) PlaceInOrder(&pair);
+    absl::StatusOr<std::optional<ChecksWrite>> checks =
+        std::optional<ChecksWrite>();
+    if (read.ok() && asks_checks) {
+      checks = checks_->WithPair(kind, pair, answers.candidate, answers.actor);
+    } else if (read.ok() && answers.candidate && !checks_->HasCandidates()) {
+      checks = StoredChecks::CheckNotFound(vehicle_->id, *answers.candidate);
+    }
     queue_->Release([&] {
+      if (!checks.ok()) {
+        callback(checks.status());
+        return;
+      }
       if (read.ok()) {
-        StorePair(kind, pair, measured->Find(pair), callback);
+        StorePair(kind, pair,
+                  measured->empty() ? nullptr : measured->Find(pair), *checks,
+                  callback);
         return;
       }
       callback(read);
@@ -357,7 +387,7 @@ void Changes::AddPosePair(PairKind kind, PosePairRecord pair,
 void Changes::StorePair(
     PairKind kind, PosePairRecord pair,
     const std::shared_ptr<const core::MeasuredLoop>& measured,
-    const PairCallback& callback) {
+    const std::optional<ChecksWrite>& checks, const PairCallback& callback) {
   AddedPair added;
   if (measured) {
     added.agreement = vehicle_->loaded->AgreementOf(
@@ -374,24 +404,26 @@ void Changes::StorePair(
   added.pair = std::move(pair);
   added.revision = vehicle_->head.revision() + 1;
   added.is_new = true;
-  WritePair(kind, added, is_last, measured, callback);
+  WritePair(kind, added, is_last, measured, checks, callback);
 }
 
 void Changes::WritePair(
     PairKind kind, const AddedPair& added, bool is_last,
     const std::shared_ptr<const core::MeasuredLoop>& measured,
-    const PairCallback& callback) {
+    const std::optional<ChecksWrite>& checks, const PairCallback& callback) {
+  const ChecksHead head = checks ? checks->after : vehicle_->head.checks();
   Write(
       [&](Storage::Done done) {
         vehicle_->storage->AddPosePair(vehicle_->head.key(), kind, added.pair,
-                                       added.revision, std::move(done));
+                                       checks, added.revision, std::move(done));
       },
-      [this, kind, added, is_last, measured,
+      [this, kind, added, is_last, measured, head,
        callback](const absl::Status& status) {
         if (!status.ok()) {
-          callback(status);
+          callback(FailureOf(status));
           return;
         }
+        vehicle_->head.set_checks(head);
         vehicle_->pairs.Add(kind, added.pair);
         if (is_last) {
           TakeOnLastPair(kind, added.pair, added.revision, measured);
@@ -402,6 +434,13 @@ void Changes::WritePair(
         replayer_->Rebuild(vehicle_->head.config(), added.revision,
                            Answering(callback, added));
       });
+}
+
+absl::Status Changes::FailureOf(const absl::Status& status) {
+  if (!absl::IsFailedPrecondition(status)) return status;
+  // The store has lost its last writes, which were of checks.
+  vehicle_->Leave(vehicle_->OutOfStep());
+  return *vehicle_->gone_status();
 }
 
 absl::Status Changes::CheckNewPair(PairKind kind, const PosePairRecord& pair,
@@ -497,23 +536,47 @@ void Changes::DeletePosePair(
     ConfirmMissing(kind, id, callback);
     return;
   }
+  if (!checks_->HasCandidates()) {
+    RemovePair(kind, found->second, deletion, std::nullopt, callback);
+    return;
+  }
+  queue_->Hold();
+  queue_->PostLong([this, kind, pair = found->second, deletion, callback] {
+    const auto checks =
+        checks_->WithoutPair(kind, pair, deletion.deleted_by, deletion.time_ns);
+    queue_->Release([&] {
+      if (checks.ok()) {
+        RemovePair(kind, pair, deletion, *checks, callback);
+      } else {
+        callback(checks.status());
+      }
+    });
+  });
+}
+
+void Changes::RemovePair(
+    PairKind kind, const PosePairRecord& pair, const PairDeletion& deletion,
+    const std::optional<ChecksWrite>& checks,
+    const std::function<void(absl::StatusOr<std::uint64_t>)>& callback) {
   const std::uint64_t next = vehicle_->head.revision() + 1;
+  const ChecksHead head = checks ? checks->after : vehicle_->head.checks();
   const auto write = [&](Storage::Done done) {
     DeletedPairRecord deleted;
     deleted.kind = kind;
-    deleted.pair = found->second;
-    deleted.pair.payload = vehicle_->codec->WithDeleter(found->second.payload,
-                                                        deletion.deleted_by);
+    deleted.pair = pair;
+    deleted.pair.payload =
+        vehicle_->codec->WithDeleter(pair.payload, deletion.deleted_by);
     deleted.delete_time_ns = deletion.time_ns;
     vehicle_->storage->DeletePosePair(vehicle_->head.key(), std::move(deleted),
-                                      next, std::move(done));
+                                      checks, next, std::move(done));
   };
-  const auto take_back = [this, kind, pair = found->second, next,
+  const auto take_back = [this, kind, pair, next, head,
                           callback](const absl::Status& status) {
     if (!status.ok()) {
-      callback(status);
+      callback(FailureOf(status));
       return;
     }
+    vehicle_->head.set_checks(head);
     TakeBack(kind, pair, next);
     vehicle_->pairs.Remove(kind, {pair.id});
     vehicle_->head.Adopt(next);
@@ -582,7 +645,8 @@ void Changes::Delete(const std::function<void(absl::Status)>& callback) {
   queue_->set_store_lead(VehicleQueue::StoreLead::kVehicle);
   Write(
       [&](Storage::Done done) {
-        vehicle_->storage->DeleteVehicle(vehicle_->head.key(), std::move(done));
+        vehicle_->storage->DeleteVehicle(vehicle_->head.key(),
+                                         checks_->Farewell(), std::move(done));
       },
       [this, callback](const absl::Status& status) {
         queue_->set_store_lead(VehicleQueue::StoreLead::kNone);

@@ -15,7 +15,9 @@
 #include "absl/status/statusor.h"
 #include "core/drive/agreement.h"
 #include "core/drive/measured_loop.h"
+#include "server/sessions/check_codec.h"
 #include "server/sessions/replay.h"
+#include "server/sessions/stored_checks.h"
 #include "server/sessions/vehicle_queue.h"
 #include "server/sessions/vehicle_state.h"
 #include "server/sessions/vehicle_view.h"
@@ -61,6 +63,12 @@ struct AddedPair {
   // False where the pair was there already.
   bool is_new = false;
 };
+// Who decided by a pair that is added, and the stored candidate that it names.
+struct PairAnswer {
+  std::optional<CandidateId> candidate = std::nullopt;
+  // Caller::identity.
+  std::string actor = std::string();
+};
 using PairCallback = std::function<void(absl::StatusOr<AddedPair>)>;
 // Who deletes a pair, and when.
 struct PairDeletion {
@@ -73,10 +81,11 @@ struct PairDeletion {
 class Changes {
  public:
   Changes(VehicleState* vehicle, VehicleQueue* queue, Replayer* replayer,
-          std::size_t max_pose_pairs)
+          StoredChecks* checks, std::size_t max_pose_pairs)
       : vehicle_(vehicle),
         queue_(queue),
         replayer_(replayer),
+        checks_(checks),
         max_pose_pairs_(max_pose_pairs) {}
 
   // Calls `callback` with the answer to a client that claims this
@@ -93,7 +102,7 @@ class Changes {
   void Update(const ConfigChange& change, const ViewCallback& callback);
   void Revise(const RevisionPlanner& plan, const RevisionCallback& callback);
   void AddPosePair(PairKind kind, PosePairRecord pair,
-                   const PairCallback& callback);
+                   const PairAnswer& answers, const PairCallback& callback);
   void DeletePosePair(
       PairKind kind, const std::string& id, const PairDeletion& deletion,
       const std::function<void(absl::StatusOr<std::uint64_t>)>& callback);
@@ -140,12 +149,22 @@ class Changes {
   // Adds a pair that may be added, or answers the one that is there already.
   void StorePair(PairKind kind, PosePairRecord pair,
                  const std::shared_ptr<const core::MeasuredLoop>& measured,
+                 const std::optional<ChecksWrite>& checks,
                  const PairCallback& callback);
   // Writes a new pair, and adds it to the graph; one that is not the last is
   // added by making the graph anew.
   void WritePair(PairKind kind, const AddedPair& added, bool is_last,
                  const std::shared_ptr<const core::MeasuredLoop>& measured,
+                 const std::optional<ChecksWrite>& checks,
                  const PairCallback& callback);
+  // Deletes a pair that is there, with what that makes of stored candidates.
+  void RemovePair(
+      PairKind kind, const PosePairRecord& pair, const PairDeletion& deletion,
+      const std::optional<ChecksWrite>& checks,
+      const std::function<void(absl::StatusOr<std::uint64_t>)>& callback);
+  // What a failed write of a pair is answered with. Where the store has another
+  // head of checks than memory, the vehicle leaves, to be loaded anew.
+  absl::Status FailureOf(const absl::Status& status);
   // Gives the pair its place in the order of creation times. Returns whether it
   // is the last.
   bool PlaceInOrder(PosePairRecord* pair) const;
@@ -163,6 +182,7 @@ class Changes {
   VehicleState* const vehicle_;
   VehicleQueue* const queue_;
   Replayer* const replayer_;
+  StoredChecks* const checks_;
   const std::size_t max_pose_pairs_;
 };
 

@@ -150,6 +150,11 @@ void Strand::PostLong(std::function<void()> task) {
   state->Post({std::move(task), {state->lanes.long_work}});
 }
 
+bool Strand::IsWanted() const {
+  const MutexLock guard(&state_->mutex);
+  return !state_->tasks.empty();
+}
+
 void Strand::PostSearch(std::string flow, std::function<void()> task) {
   const std::shared_ptr<State> state = state_;
   state->Post({std::move(task), {state->lanes.searches, std::move(flow)}});

@@ -91,6 +91,8 @@ class Strand {
   void PostLong(std::function<void()> task);
   // `flow`: whose search it is.
   void PostSearch(std::string flow, std::function<void()> task);
+  // Whether tasks wait for the one that runs.
+  bool IsWanted() const;
 
   // Runs the task before it returns, on the caller's thread, if nothing of the
   // strand runs or waits; else posts it. For tasks that are short and do not

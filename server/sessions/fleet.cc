@@ -25,6 +25,12 @@ constexpr int kPartsAtRest = 16;
 constexpr std::uint64_t kWritesAtRest = 100;
 constexpr std::int64_t kNodesAtRest = 2000;
 
+// Vehicles that are loaded at a time to make the checks that they owe, and how
+// many are looked for at a time.
+constexpr std::size_t kMostPaying = 2;
+constexpr int kOwingPerRead = 100;
+constexpr int kMostEventsDropped = 1000;
+
 }  // namespace
 
 struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
@@ -65,9 +71,9 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
       if (entry.session != nullptr && !entry.session->gone()) {
         return entry.session;
       }
-      session = VehicleSession::Load(id, storage, codec, lanes, options.session,
-                                     options.snapshots, retention,
-                                     options.clock, options.census);
+      session = VehicleSession::Load(
+          id, storage, codec, lanes, options.session, options.snapshots,
+          retention, options.clock, options.census, options.checks);
       if (gives_up_replays) session->GiveUpReplay();
       replaced = std::exchange(entry.session, session);
     }
@@ -158,7 +164,7 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
       }
       const bool is_idle =
           unused && entry.last_use + options.idle_unload <= now;
-      if (entry.session->gone() || (is_idle && !MustWriteSnapshot(entry))) {
+      if (entry.session->gone() || (is_idle && !MustWrite(entry))) {
         i = Drop(i, &dropped);
         continue;
       }
@@ -175,17 +181,74 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
     for (const Entries::iterator& entry : unused_entries) {
       if (above <= 0) break;
       above -= entry->second.session->residency().bytes;
-      if (!MustWriteSnapshot(entry->second)) Drop(entry, &dropped);
+      if (!MustWrite(entry->second)) Drop(entry, &dropped);
     }
     return dropped.residency;
   }
 
-  // Whether a snapshot is due before the vehicle can be unloaded: then it is
-  // begun.
-  bool MustWriteSnapshot(Entry& entry) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex) {
+  // Whether something is to be written before the vehicle can be unloaded: then
+  // it is begun.
+  bool MustWrite(Entry& entry) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex) {
+    if (entry.session->has_unsettled_checks()) {
+      entry.was_written = true;
+      entry.session->SettleChecks([] {});
+      return true;
+    }
     if (!entry.session->wants_snapshot()) return false;
     WriteSnapshot(std::numeric_limits<int>::max(), &entry);
     return true;
+  }
+
+  void PayChecks() ABSL_LOCKS_EXCLUDED(mutex) {
+    // Sessions are let go after the lock is.
+    std::vector<std::shared_ptr<VehicleSession>> over;
+    bool has_room = false;
+    {
+      const MutexLock guard(&mutex);
+      const auto is_over = [](const std::shared_ptr<VehicleSession>& session) {
+        return session->gone() ||
+               (session->is_loaded() && session->check_debt() == 0);
+      };
+      const auto first = std::partition(
+          paying.begin(), paying.end(),
+          [&](const auto& session) { return !is_over(session); });
+      over.assign(first, paying.end());
+      paying.erase(first, paying.end());
+      has_room = paying.size() < kMostPaying;
+    }
+    for (const auto& session : over) {
+      if (session->has_unsettled_checks()) session->SettleChecks([] {});
+    }
+    if (!has_room) return;
+    const absl::StatusOr<std::vector<VehicleRecord>> owing =
+        storage->ListUnchecked(paid_to, kOwingPerRead);
+    if (!owing.ok()) return;
+    // From the beginning again, the next time.
+    paid_to = owing->size() < kOwingPerRead ? 0 : owing->back().key;
+    for (const VehicleRecord& record : *owing) {
+      if (const auto session = Resident(record.id)) {
+        // One that is in use pays by itself, unless a write has failed.
+        if (session->check_debt() > 0) session->PayChecks();
+        continue;
+      }
+      const std::shared_ptr<VehicleSession> session = Session(record.id);
+      const MutexLock guard(&mutex);
+      paying.push_back(session);
+      if (paying.size() < kMostPaying) continue;
+      paid_to = record.key;
+      return;
+    }
+  }
+
+  // The session of a vehicle that is in memory, else null: asking is no use of
+  // it.
+  std::shared_ptr<VehicleSession> Resident(const std::string& id)
+      ABSL_LOCKS_EXCLUDED(mutex) {
+    const MutexLock guard(&mutex);
+    const auto found = entries.find(id);
+    return found == entries.end() || found->second.session->gone()
+               ? nullptr
+               : found->second.session;
   }
 
   void WriteSnapshot(int most_parts, Entry* entry)
@@ -250,6 +313,11 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
   Entries entries ABSL_GUARDED_BY(mutex);
   bool gives_up_replays ABSL_GUARDED_BY(mutex) = false;
   std::uint64_t snapshot_calls ABSL_GUARDED_BY(mutex) = 0;
+  // Vehicles that are held in memory until they owe no checks.
+  std::vector<std::shared_ptr<VehicleSession>> paying ABSL_GUARDED_BY(mutex);
+  // The key of the last vehicle that was looked at for checks that it owes.
+  // Belongs to the thread that calls PayChecks().
+  VehicleKey paid_to = 0;
   // Calls of VehicleSession::WriteSnapshot() that are not answered: maybe by
   // sessions that are no entries any more.
   int writing_snapshots ABSL_GUARDED_BY(mutex) = 0;
@@ -274,6 +342,7 @@ Fleet::~Fleet() {
   {
     const MutexLock lock(&state_->mutex);
     while (state_->creating != 0) state_->changed.Wait(&state_->mutex);
+    state_->paying.clear();
     for (const auto& [id, entry] : state_->entries) {
       sessions.push_back(entry.session);
     }
@@ -309,6 +378,16 @@ void Fleet::WriteSnapshots() {
   state_->WriteNextSnapshot(is_at_rest ? kPartsAtRest : 1);
 }
 
+void Fleet::DropOldEvents() {
+  constexpr std::int64_t kept_ns =
+      std::chrono::nanoseconds(kEventsKept).count();
+  // One that fails is made up for by the next.
+  state_->storage->DropEvents(state_->options.clock() - kept_ns,
+                              kMostEventsDropped, [](const absl::Status&) {});
+}
+
+void Fleet::PayChecks() { state_->PayChecks(); }
+
 void Fleet::GiveUpReplays() {
   const MutexLock lock(&state_->mutex);
   state_->gives_up_replays = true;
@@ -321,12 +400,7 @@ std::shared_ptr<VehicleSession> Fleet::Session(const std::string& id) {
 
 std::shared_ptr<VehicleSession> Fleet::SessionIfLoaded(
     const std::string& id) const {
-  const MutexLock guard(&state_->mutex);
-  const auto found = state_->entries.find(id);
-  if (found == state_->entries.end() || found->second.session->gone()) {
-    return nullptr;
-  }
-  return found->second.session;
+  return state_->Resident(id);
 }
 
 void Fleet::Create(const std::string& id, const VehicleConfig& config,
@@ -394,6 +468,9 @@ void Fleet::CollectMetrics(Metrics* metrics) const {
               "Bytes of nodes and edges of vehicles in memory.")
       .Add(sum.bytes);
   state_->retention->CollectMetrics(metrics);
+  if (state_->options.checks.monitor != nullptr) {
+    state_->options.checks.monitor->CollectMetrics(metrics);
+  }
 }
 
 Fleet::Residency Fleet::UnloadIdle(std::chrono::steady_clock::time_point now) {

@@ -41,6 +41,9 @@ struct CreatedVehicle {
 using CreateCallback =
     std::function<void(const absl::StatusOr<CreatedVehicle>&)>;
 
+// How long events of stored candidates are kept for those who watch.
+inline constexpr std::chrono::hours kEventsKept{7 * 24};
+
 // It hands vehicles over that other servers ask for (Storage::OnWanted()), each
 // once its calls that came before are finished.
 //
@@ -61,6 +64,7 @@ class Fleet {
     std::shared_ptr<VehicleCensus> census;
     // Against which the stamps of poses are held.
     ServerClock clock = SystemNanoseconds;
+    StoredChecksPolicy checks;
     // How long the end of the fleet may be delayed to write snapshots.
     std::chrono::milliseconds last_snapshots{500};
   };
@@ -101,6 +105,15 @@ class Fleet {
   // little else to write. The server calls it on a timer, whose period so
   // bounds what snapshots take of the storage.
   void WriteSnapshots();
+
+  // Has vehicles that owe checks make them: loads some that are in no server's
+  // memory, as after a crash, and lets them go once they owe none. The server
+  // calls it on a timer.
+  void PayChecks();
+
+  // Removes some events that are older than kEventsKept. Any server of a store
+  // may do it; each does soon after its start, and then on a timer.
+  void DropOldEvents();
 
   // Vehicles in memory.
   std::size_t loaded() const;

@@ -44,7 +44,7 @@ bool KeepsAll(const core::RetentionOptions& options) {
 }  // namespace
 
 void PoseDropper::Consider() {
-  if (is_under_way_ || !vehicle_->loaded ||
+  if (is_under_way_ || !vehicle_->loaded || vehicle_->owes_checks ||
       KeepsAll(vehicle_->head.config().drive.retention) ||
       !vehicle_->loaded.is_worth_a_look()) {
     return;

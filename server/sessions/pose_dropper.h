@@ -40,6 +40,9 @@ namespace revisit::server {
 // which leaves a sound store; then the graph is made anew by the replay of a
 // load, so it is the one that a load makes.
 //
+// While checks are owed that are to be stored, nothing is dropped: they need
+// the poses.
+//
 // Stamps that are too far ahead of the server's clock do not count
 // (server_clock.h).
 //

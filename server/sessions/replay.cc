@@ -61,6 +61,7 @@ absl::Status Replayer::StartLoad() {
     return absl::OkStatus();
   }
   vehicle_->head.set_durable_sequence(record->durable_sequence);
+  vehicle_->head.set_checks(record->checks);
   MeasuredLoops measured;
   for (const PairKind kind : kPairKinds) {
     const absl::Status read =

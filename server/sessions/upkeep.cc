@@ -19,6 +19,9 @@ constexpr std::chrono::milliseconds kTrimPeriod{2000};
 constexpr std::chrono::milliseconds kSnapshotPeriod{500};
 // How often rows of vehicles are read to count them.
 constexpr std::chrono::milliseconds kCensusPeriod{1000};
+// How often vehicles are looked for that owe checks although no server has them
+// in memory, and events that are kept no longer.
+constexpr std::chrono::milliseconds kChecksPeriod{5000};
 
 // How often vehicles are unloaded. A vehicle stays at most a tenth longer than
 // promised, and memory at most a second above the budget.
@@ -78,6 +81,11 @@ Upkeep::Upkeep(Fleet* fleet, VehicleCensus* census,
                    unloading.Look();
                  }),
       snapshots_(kSnapshotPeriod, [fleet] { fleet->WriteSnapshots(); }),
+      checks_(kChecksPeriod,
+              [fleet] {
+                fleet->PayChecks();
+                fleet->DropOldEvents();
+              }),
       census_(kCensusPeriod, [census] { census->Continue(); }) {
   census_.Hasten();
 }

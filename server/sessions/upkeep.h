@@ -12,8 +12,8 @@ namespace revisit::server {
 
 // Unloads vehicles that have been idle for long, or, if memory is short, all
 // unused ones, and gives freed memory back to the system; writes their
-// snapshots; counts the store's vehicles. Each on a thread of its own, until
-// this is destroyed.
+// snapshots; has checks made that are owed; counts the store's vehicles. Each
+// on a thread of its own, until this is destroyed.
 class Upkeep {
  public:
   // `options` are those of the fleet. `is_pressed` measures whether memory is
@@ -25,6 +25,7 @@ class Upkeep {
  private:
   Periodic unloading_;
   Periodic snapshots_;
+  Periodic checks_;
   Periodic census_;
 };
 

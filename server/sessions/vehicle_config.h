@@ -13,6 +13,9 @@ namespace revisit::server {
 
 enum class CoordinateFrame { kLocal, kGeodetic };
 
+// What becomes of the checks that fall due on the way.
+enum class ChecksKept { kOnRequest, kStored };
+
 struct GeodeticOrigin {
   double latitude_degrees = 0.0;
   double longitude_degrees = 0.0;
@@ -36,6 +39,9 @@ struct VehicleConfig {
   // The origin of a geodetic vehicle: given on creation, or set by its first
   // pose.
   std::optional<GeodeticOrigin> origin;
+  ChecksKept checks = ChecksKept::kOnRequest;
+  // Probability from which on a candidate of a stored check is kept.
+  double keep_probability = 0.05;
   std::int64_t create_time_ns = 0;  // Since the Unix epoch.
   // Writes are refused until an operator accepts the loss.
   bool data_loss = false;

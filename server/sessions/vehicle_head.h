@@ -30,6 +30,9 @@ class VehicleHead {
   std::uint64_t durable_sequence() const { return durable_sequence_; }
   std::uint64_t revision() const { return revision_; }
   const Staged& staged() const { return staged_; }
+  // As the store has it.
+  const ChecksHead& checks() const { return checks_; }
+  void set_checks(const ChecksHead& checks) { checks_ = checks; }
   // See VehicleView. While the vehicle is loaded, the first cause.
   const absl::Status& damage() const { return damage_; }
   bool config_is_known() const { return config_is_known_; }
@@ -95,6 +98,7 @@ class VehicleHead {
   VehicleConfig config_;
   std::uint64_t durable_sequence_ = 0;
   std::uint64_t revision_ = 0;
+  ChecksHead checks_;
   Staged staged_;
   absl::Status damage_;
   bool config_is_known_ = true;

@@ -83,6 +83,8 @@ class VehicleQueue {
   void PostSearch(const std::string& flow, Task task) {
     strand_->PostSearch(flow, Keeping(std::move(task)));
   }
+  // Whether other work of the vehicle waits for the task that runs.
+  bool IsWanted() const { return strand_->IsWanted(); }
   // See Strand::RunOrPost().
   template <typename Task>
   void RunOrPost(Task task) {

@@ -1,5 +1,6 @@
 #include "server/sessions/vehicle_session.h"
 
+#include <atomic>
 #include <deque>
 
 #include "server/sessions/appends.h"
@@ -16,15 +17,17 @@ struct VehicleSession::State {
   State(std::string id, Storage* storage, const RecordCodec* codec,
         const Lanes& lanes, const Limits& limits, const SnapshotPolicy& policy,
         std::shared_ptr<RetentionMonitor> monitor, ServerClock clock,
-        std::shared_ptr<VehicleCensus> census)
+        std::shared_ptr<VehicleCensus> census,
+        const StoredChecksPolicy& checks_policy)
       : vehicle(std::move(id), storage, codec, policy, std::move(clock),
                 std::move(census)),
         queue(&vehicle, &in_flight, lanes),
-        appends(&vehicle, &queue, &in_flight, &dropper,
+        appends(&vehicle, &queue, &in_flight, &dropper, &checks,
                 limits.max_pending_appends),
         replayer(&vehicle, &queue),
         dropper(&vehicle, &queue, &replayer, std::move(monitor)),
-        changes(&vehicle, &queue, &replayer, limits.max_pose_pairs),
+        checks(&vehicle, &queue, &in_flight, checks_policy),
+        changes(&vehicle, &queue, &replayer, &checks, limits.max_pose_pairs),
         snapshots(&vehicle, &queue) {}
 
   // Submits a change: `work(callback)` once it is its turn, or the callback
@@ -75,11 +78,17 @@ struct VehicleSession::State {
                         next.flow});
   }
 
-  // Runs `end` after what was called before, and once no part of a snapshot is
-  // being written.
+  // Runs `end` after what was called before, once the store knows whether
+  // checks are owed, and no part of a snapshot is being written.
   template <typename End>
   void EndAfterSnapshots(Snapshots::Clock::time_point until, End end) {
     queue.Submit({Turn::kAlone, [this, until, end](const absl::Status&) {
+                    if (checks.is_unsettled()) {
+                      checks.Settle([this, until, end] {
+                        EndAfterSnapshots(until, end);
+                      });
+                      return;
+                    }
                     const bool may_write =
                         snapshots.is_due() && Snapshots::Clock::now() < until;
                     if (!snapshots.is_writing() && !may_write) {
@@ -98,8 +107,10 @@ struct VehicleSession::State {
   Appends appends;
   Replayer replayer;
   PoseDropper dropper;
+  StoredChecks checks;
   Changes changes;
   Snapshots snapshots;
+  std::atomic<bool> is_loaded{false};
   // Whether a search is between two turns, and those that wait for its end.
   bool is_searching = false;
   std::deque<SearchCall> searches;
@@ -109,15 +120,18 @@ std::shared_ptr<VehicleSession> VehicleSession::Load(
     std::string id, Storage* storage, const RecordCodec* codec,
     const Lanes& lanes, const Limits& limits, const SnapshotPolicy& snapshots,
     std::shared_ptr<RetentionMonitor> retention, ServerClock clock,
-    std::shared_ptr<VehicleCensus> census) {
-  auto state = std::make_shared<State>(std::move(id), storage, codec, lanes,
-                                       limits, snapshots, std::move(retention),
-                                       std::move(clock), std::move(census));
+    std::shared_ptr<VehicleCensus> census, const StoredChecksPolicy& checks) {
+  auto state = std::make_shared<State>(
+      std::move(id), storage, codec, lanes, limits, snapshots,
+      std::move(retention), std::move(clock), std::move(census), checks);
   state->queue.KeepAlive(state);
   state->queue.PostLong([state = state.get()] { state->replayer.Load(); });
   state->queue.Submit(
       {Turn::kRead, [state = state.get()](const absl::Status& status) {
-         if (status.ok()) state->dropper.ConsiderLoaded();
+         if (!status.ok()) return;
+         state->checks.Consider();
+         state->is_loaded.store(true);
+         state->dropper.ConsiderLoaded();
        }});
   return std::shared_ptr<VehicleSession>(new VehicleSession(std::move(state)));
 }
@@ -185,6 +199,7 @@ void VehicleSession::Update(ConfigChange change, ViewCallback callback) {
   const auto answered = [state, callback = std::move(callback)](
                             const absl::StatusOr<VehicleView>& view) {
     callback(view);
+    state->checks.Consider();
     state->dropper.Consider();
   };
   state->SubmitAlone<ViewCallback>(
@@ -199,7 +214,12 @@ void VehicleSession::AcceptDataLoss(std::uint64_t durable_sequence,
   state_->SubmitAlone(
       std::move(callback),
       [state = state_.get(), durable_sequence](const ViewCallback& answer) {
-        state->changes.AcceptDataLoss(durable_sequence, answer);
+        state->changes.AcceptDataLoss(
+            durable_sequence,
+            [state, answer](const absl::StatusOr<VehicleView>& view) {
+              answer(view);
+              state->checks.Consider();
+            });
       });
 }
 
@@ -212,12 +232,40 @@ void VehicleSession::Revise(RevisionPlanner plan, RevisionCallback callback) {
 }
 
 void VehicleSession::AddPosePair(PairKind kind, PosePairRecord pair,
-                                 PairCallback callback) {
-  state_->SubmitAlone(std::move(callback),
-                      [state = state_.get(), kind,
-                       pair = std::move(pair)](const PairCallback& answer) {
-                        state->changes.AddPosePair(kind, pair, answer);
-                      });
+                                 PairAnswer answers, PairCallback callback) {
+  state_->SubmitAlone(
+      std::move(callback),
+      [state = state_.get(), kind, pair = std::move(pair),
+       answers = std::move(answers)](const PairCallback& answer) {
+        state->changes.AddPosePair(kind, pair, answers, answer);
+      });
+}
+
+void VehicleSession::PayChecks() {
+  state_->queue.Submit(
+      {Turn::kRead, [checks = &state_->checks](const absl::Status& status) {
+         if (status.ok()) checks->Consider();
+       }});
+}
+
+bool VehicleSession::has_unsettled_checks() const {
+  return state_->checks.is_unsettled();
+}
+
+void VehicleSession::SettleChecks(std::function<void()> then) {
+  state_->queue.Submit(
+      {Turn::kAlone, [checks = &state_->checks,
+                      then = std::move(then)](const absl::Status& status) {
+         if (status.ok()) {
+           checks->Settle(then);
+         } else {
+           then();
+         }
+       }});
+}
+
+std::int64_t VehicleSession::check_debt() const {
+  return state_->checks.debt();
 }
 
 void VehicleSession::DeletePosePair(
@@ -278,6 +326,8 @@ void VehicleSession::Close(std::chrono::steady_clock::time_point snapshot_until,
     callback();
   });
 }
+
+bool VehicleSession::is_loaded() const { return state_->is_loaded.load(); }
 
 bool VehicleSession::gone() const { return state_->vehicle.is_gone(); }
 

@@ -34,6 +34,7 @@
 #include "server/sessions/record_codec.h"
 #include "server/sessions/retention_monitor.h"
 #include "server/sessions/server_clock.h"
+#include "server/sessions/stored_checks.h"
 #include "server/sessions/vehicle_census.h"
 #include "server/sessions/vehicle_state.h"
 #include "server/sessions/vehicle_view.h"
@@ -64,7 +65,8 @@ class VehicleSession {
       std::shared_ptr<RetentionMonitor> retention =
           std::make_shared<RetentionMonitor>(nullptr),
       ServerClock clock = SystemNanoseconds,
-      std::shared_ptr<VehicleCensus> census = nullptr);
+      std::shared_ptr<VehicleCensus> census = nullptr,
+      const StoredChecksPolicy& checks = StoredChecksPolicy());
 
   VehicleSession(const VehicleSession&) = delete;
   VehicleSession& operator=(const VehicleSession&) = delete;
@@ -131,15 +133,28 @@ class VehicleSession {
   // ALREADY_EXISTS (WordsOf(kind).exists), NOT_FOUND (POSE_NOT_FOUND) if a
   // sequence is not durable, FAILED_PRECONDITION (POSE_PAIR_LIMIT), or
   // (POSE_PAIR_CONFLICT) if the two poses are a pair of the other kind, those
-  // of RecordCodec::DecodeMeasurement(). REQUIRES: 1 <= matched_sequence <
-  // query_sequence.
-  void AddPosePair(PairKind kind, PosePairRecord pair, PairCallback callback);
+  // of RecordCodec::DecodeMeasurement(), NOT_FOUND (CHECK_NOT_FOUND) if the
+  // candidate that it answers is not stored. Stored candidates that it decides
+  // are changed with it (StoredChecks::WithPair()). REQUIRES: 1 <=
+  // matched_sequence < query_sequence.
+  void AddPosePair(PairKind kind, PosePairRecord pair, PairAnswer answers,
+                   PairCallback callback);
   // Answers the revision. The pair is kept among the deleted ones
   // (Storage::DeletePosePair()). NOT_FOUND (WordsOf(kind).not_found) if there
   // is none.
   void DeletePosePair(
       PairKind kind, std::string id, PairDeletion deletion,
       std::function<void(absl::StatusOr<std::uint64_t>)> callback);
+
+  // Goes on with the checks that the vehicle owes, also where a write of them
+  // failed.
+  void PayChecks();
+  // Whether the store does not know yet that no check is owed.
+  bool has_unsettled_checks() const;
+  // Tells it, then calls `then`.
+  void SettleChecks(std::function<void()> then);
+  // The checks that are owed.
+  std::int64_t check_debt() const;
 
   // Deletes the vehicle. All later calls answer NOT_FOUND.
   void Delete(std::function<void(absl::Status)> callback);
@@ -169,6 +184,9 @@ class VehicleSession {
   // `callback` runs, the session uses neither storage nor codec any more.
   void Close(std::chrono::steady_clock::time_point snapshot_until,
              std::function<void()> callback);
+
+  // Whether the vehicle has come into memory, sound or not.
+  bool is_loaded() const;
 
   // Whether every call will answer an error from now on: the vehicle was
   // deleted, could not be loaded, or must be loaded anew since it and the store

@@ -49,7 +49,8 @@ VehicleView VehicleState::View() const {
                      head.damage(),
                      head.config_is_known(),
                      loaded.search(),
-                     loaded.nodes_id()};
+                     loaded.nodes_id(),
+                     head.checks()};
 }
 
 void VehicleState::Report() const {
@@ -82,6 +83,9 @@ absl::Status VehicleState::CheckAgainstStore() {
     return *gone_status_;
   }
   head.set_epoch(record->epoch);
+  // A write of checks changes nothing that memory holds, so that either outcome
+  // agrees with it.
+  head.set_checks(record->checks);
   in_doubt_ = false;
   return absl::OkStatus();
 }

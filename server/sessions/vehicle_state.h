@@ -56,6 +56,8 @@ class VehicleState {
   JudgedPairs pairs;
   SnapshotProgress snapshots;
   LoadedDrive loaded{&snapshots};
+  // Whether stored checks are still to be made, for which poses must stay.
+  bool owes_checks = false;
 
   VehicleView View() const;
 

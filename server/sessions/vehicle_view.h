@@ -41,6 +41,8 @@ struct VehicleView {
   core::Search* search = nullptr;
   // See ExportPoseGraphResponse.
   std::string_view nodes_id = {};
+  // How far stored checks have come.
+  ChecksHead checks = {};
 
   // Sequence of the first pose that is kept.
   std::uint64_t first_kept_sequence() const;

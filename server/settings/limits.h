@@ -136,6 +136,10 @@ struct Limits {
   // count too, but for the first of them (search_turns.h). Range [1000, 1e12].
   std::int64_t max_search_steps = 300'000'000;
 
+  // Whether vehicles that are created without a word about it store their
+  // checks (VehicleSettings.checks), which costs a search every check interval.
+  bool store_checks_by_default = false;
+
   // ---- Memory
 
   // Resident memory of the process above which new work is refused and idle

@@ -52,6 +52,12 @@ const Choices<ClientCertificates>& ClientCertificateChoices() {
   return *choices;
 }
 
+const Choices<bool>& StoredCheckChoices() {
+  static const auto* const choices =
+      new Choices<bool>{{"stored", true}, {"on-request", false}};
+  return *choices;
+}
+
 const Choices<bool>& Switch() {
   static const auto* const choices =
       new Choices<bool>{{"on", true}, {"off", false}};
@@ -352,6 +358,9 @@ void AddWork(Group add, Limits& l) {
              "search may compare, counted twice where it looks in both "
              "directions; the marks that a FindCandidates call has to search "
              "first count too");
+  add.Choice("default-checks", StoredCheckChoices(), &l.store_checks_by_default,
+             "Whether vehicles that are created without a word about it "
+             "(settings.checks) have the checks that fall due made and stored");
   add.Number("max-memory-bytes", &l.max_memory_bytes, 0, std::int64_t{1} << 50,
              "Bytes of resident memory from which on new work is refused; 0 "
              "means three quarters of the machine's or the control group's");

@@ -36,7 +36,9 @@ class ReadOnlyStorage final : public Reader {
                      Done done) override {
     done(Refusal());
   }
-  void DeleteVehicle(VehicleKey, Done done) override { done(Refusal()); }
+  void DeleteVehicle(VehicleKey, EventRecord, Done done) override {
+    done(Refusal());
+  }
   void AppendBatches(VehicleKey, std::vector<BatchRecord>,
                      std::optional<std::string>, Done done) override {
     done(Refusal());
@@ -49,14 +51,19 @@ class ReadOnlyStorage final : public Reader {
                       Done done) override {
     done(Refusal());
   }
-  void AddPosePair(VehicleKey, PairKind, PosePairRecord, std::uint64_t,
+  void AddPosePair(VehicleKey, PairKind, PosePairRecord,
+                   std::optional<ChecksWrite>, std::uint64_t,
                    Done done) override {
     done(Refusal());
   }
-  void DeletePosePair(VehicleKey, DeletedPairRecord, std::uint64_t,
-                      Done done) override {
+  void DeletePosePair(VehicleKey, DeletedPairRecord, std::optional<ChecksWrite>,
+                      std::uint64_t, Done done) override {
     done(Refusal());
   }
+  void PutChecks(VehicleKey, ChecksWrite, Done done) override {
+    done(Refusal());
+  }
+  void DropEvents(std::int64_t, int, Done done) override { done(Refusal()); }
   void DropDamaged(VehicleKey, std::uint64_t, std::string, std::uint64_t,
                    Done done) override {
     done(Refusal());

@@ -199,6 +199,61 @@ absl::Status MissingSnapshotPart(std::uint32_t number) {
       {});
 }
 
+void CheckCheckRow(std::int64_t format, std::int64_t checksum, VehicleKey key,
+                   const std::string& vehicle_id, CheckRecord* check) {
+  check->damage = CheckRow(
+      format, checksum, ChecksumOfCheck(format, key, *check),
+      "stored check " + std::to_string(check->sequence) + " of vehicle '" +
+          vehicle_id + "'",
+      {{"vehicle", vehicle_id}, {"sequence", std::to_string(check->sequence)}});
+  if (!check->damage.ok()) {
+    *check = {check->sequence, 0, 0, 0, "", std::move(check->damage)};
+  }
+}
+
+void CheckEventRow(std::int64_t format, std::int64_t checksum, VehicleKey key,
+                   std::uint64_t order, EventRecord* event) {
+  event->position = {order, key, event->number, checksum};
+  if (event->payload.empty()) return;
+  event->damage =
+      CheckRow(format, checksum, ChecksumOfEvent(format, key, *event),
+               "stored event " + std::to_string(event->number) +
+                   " of the vehicle of key " + std::to_string(key),
+               {});
+  if (!event->damage.ok()) event->payload.clear();
+}
+
+absl::Status CheckChecksHeadRow(std::int64_t format, std::int64_t checksum,
+                                VehicleKey key, const ChecksHead& head) {
+  return CheckRow(
+      format, checksum, ChecksumOfChecksHead(format, key, head),
+      "the head of the checks of the vehicle of key " + std::to_string(key),
+      {});
+}
+
+absl::Status OtherChecksHead(const ChecksHead& stored,
+                             const ChecksHead& expected) {
+  return Error(StatusCode::kFailedPrecondition, "INTERNAL",
+               "the stored checks reach sequence " +
+                   std::to_string(stored.checked_sequence) + " and event " +
+                   std::to_string(stored.last_event) + ", not " +
+                   std::to_string(expected.checked_sequence) + " and " +
+                   std::to_string(expected.last_event));
+}
+
+absl::Status CursorTooOld() {
+  return Error(StatusCode::kOutOfRange, "CURSOR_TOO_OLD",
+               "events behind the cursor are kept no longer: list the checks, "
+               "and watch from the cursor that the list answers");
+}
+
+absl::Status CursorUnknown() {
+  return Error(StatusCode::kOutOfRange, "CURSOR_UNKNOWN",
+               "this store has no event at the cursor: it is of another store, "
+               "or the store was restored from before it; list the checks, and "
+               "watch from the cursor that the list answers");
+}
+
 absl::StatusOr<BatchRecord> BatchWalk::Next(
     StoredBatch as_sent, std::optional<StoredBatch> revised) {
   absl::StatusOr<BatchRecord> batch = CheckedBatch(

@@ -87,6 +87,23 @@ absl::Status CheckSnapshotPartRow(std::int64_t format, std::int64_t checksum,
 // DATA_LOSS (STORE_CORRUPT).
 absl::Status MissingSnapshotPart(std::uint32_t number);
 
+// Sets `damage`, and clears the members that a damaged row does not give.
+void CheckCheckRow(std::int64_t format, std::int64_t checksum, VehicleKey key,
+                   const std::string& vehicle_id, CheckRecord* check);
+// Sets position and `damage` of an event whose number, time and payload are as
+// they were read. A payload that went with its vehicle is no damage.
+void CheckEventRow(std::int64_t format, std::int64_t checksum, VehicleKey key,
+                   std::uint64_t order, EventRecord* event);
+// DATA_LOSS (STORE_CORRUPT) unless the row is sound.
+absl::Status CheckChecksHeadRow(std::int64_t format, std::int64_t checksum,
+                                VehicleKey key, const ChecksHead& head);
+// FAILED_PRECONDITION (INTERNAL), for PutChecks().
+absl::Status OtherChecksHead(const ChecksHead& stored,
+                             const ChecksHead& expected);
+// OUT_OF_RANGE (CURSOR_TOO_OLD) and (CURSOR_UNKNOWN), for ReadEvents().
+absl::Status CursorTooOld();
+absl::Status CursorUnknown();
+
 // Follows the rows of a range of batches as Storage::ReadBatches() visits them.
 class BatchWalk {
  public:

@@ -122,4 +122,39 @@ std::int64_t ChecksumOfSnapshotPart(std::int64_t format, std::int64_t snapshot,
       .Digest();
 }
 
+std::int64_t ChecksumOfCheck(std::int64_t format, VehicleKey key,
+                             const CheckRecord& row) {
+  return Hasher('C')
+      .Add(key)
+      .Add(row.sequence)
+      .Add(format)
+      .Add(row.revision)
+      .Add(static_cast<std::uint64_t>(row.open_count))
+      .Add(row.create_time_ns)
+      .Add(row.payload)
+      .Digest();
+}
+
+std::int64_t ChecksumOfEvent(std::int64_t format, VehicleKey key,
+                             const EventRecord& row) {
+  return Hasher('E')
+      .Add(key)
+      .Add(row.number)
+      .Add(format)
+      .Add(row.time_ns)
+      .Add(row.payload)
+      .Digest();
+}
+
+std::int64_t ChecksumOfChecksHead(std::int64_t format, VehicleKey key,
+                                  const ChecksHead& row) {
+  return Hasher('H')
+      .Add(key)
+      .Add(format)
+      .Add(static_cast<std::uint64_t>(row.stores))
+      .Add(row.checked_sequence)
+      .Add(row.last_event)
+      .Digest();
+}
+
 }  // namespace revisit::server

@@ -10,11 +10,11 @@
 namespace revisit::server {
 
 // XXH3, 64 bits, seed 0, over every column of a row: a letter for the table
-// ('V', 'B', 'R', 'L', 'N', 'D', 'S', 'P'), then the columns in the order of
-// the schema, integers as 8 bytes little-endian, text and blobs as their size
-// (8 bytes) and their bytes. The columns include format version and vehicle
-// key, so a row that ended up in another place fails too. It finds damage, not
-// malice. The 64 bits are stored as SQLite's signed integer.
+// ('V', 'B', 'R', 'L', 'N', 'D', 'S', 'P', 'C', 'E', 'H'), then the columns in
+// the order of the schema, integers as 8 bytes little-endian, text and blobs as
+// their size (8 bytes) and their bytes. The columns include format version and
+// vehicle key, so a row that ended up in another place fails too. It finds
+// damage, not malice. The 64 bits are stored as SQLite's signed integer.
 std::int64_t ChecksumOfVehicle(std::int64_t format, const VehicleRecord& row);
 std::int64_t ChecksumOfBatch(std::int64_t format, VehicleKey key,
                              BatchVersion version, const BatchRecord& row);
@@ -33,6 +33,14 @@ std::int64_t ChecksumOfSnapshot(std::int64_t format, VehicleKey key,
 std::int64_t ChecksumOfSnapshotPart(std::int64_t format, std::int64_t snapshot,
                                     std::uint32_t number,
                                     absl::string_view payload);
+
+std::int64_t ChecksumOfCheck(std::int64_t format, VehicleKey key,
+                             const CheckRecord& row);
+// Of number, time and payload: also known by it where the payload went.
+std::int64_t ChecksumOfEvent(std::int64_t format, VehicleKey key,
+                             const EventRecord& row);
+std::int64_t ChecksumOfChecksHead(std::int64_t format, VehicleKey key,
+                                  const ChecksHead& row);
 
 }  // namespace revisit::server
 

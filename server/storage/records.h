@@ -4,8 +4,10 @@
 
 #include <cstdint>
 #include <functional>
+#include <limits>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "absl/status/status.h"
 
@@ -14,12 +16,35 @@ namespace revisit::server {
 // Version of the tables and of how payloads are written. A field that is added
 // to a payload needs no new version: older servers ignore it, newer ones take
 // its absence for its default.
-inline constexpr int kStoreFormat = 6;
+inline constexpr int kStoreFormat = 7;
 // The oldest that is read, and brought to this one: that of release 0.1.0.
 inline constexpr int kOldestStoreFormat = 4;
 
+// The greatest sequence and revision that a storage can hold.
+inline constexpr std::uint64_t kLastSequence =
+    std::uint64_t{std::numeric_limits<std::int64_t>::max()};
+
 // Key of a vehicle's rows; never used again after the vehicle is deleted.
 using VehicleKey = std::int64_t;
+
+// How far the stored checks of a vehicle have come.
+struct ChecksHead {
+  // Whether checks are stored: those of poses after `checked_sequence` are
+  // owed.
+  bool stores = false;
+  // No check is owed at this pose or one before it.
+  std::uint64_t checked_sequence = 0;
+  // Number of the vehicle's last event; 0 if it has had none.
+  std::uint64_t last_event = 0;
+};
+
+inline bool operator==(const ChecksHead& a, const ChecksHead& b) {
+  return a.stores == b.stores && a.checked_sequence == b.checked_sequence &&
+         a.last_event == b.last_event;
+}
+inline bool operator!=(const ChecksHead& a, const ChecksHead& b) {
+  return !(a == b);
+}
 
 struct VehicleRecord {
   VehicleKey key = 0;  // Given by the storage.
@@ -31,6 +56,7 @@ struct VehicleRecord {
   std::uint64_t durable_sequence = 0;
   std::int64_t loop_closure_count = 0;
   std::int64_t rejected_candidate_count = 0;
+  ChecksHead checks = {};
   // How often the vehicle was taken (TakeVehicle()); 0 where one server has the
   // storage alone, and in answers of other calls.
   std::int64_t epoch = 0;
@@ -117,6 +143,65 @@ struct DeletedPairRecord {
   // its `damage` if the row is damaged: then only the number is set.
   PosePairRecord pair;
   std::int64_t delete_time_ns = 0;  // Since the Unix epoch.
+};
+
+// A check that is stored: what was found at a pose, and what has become of it.
+struct CheckRecord {
+  // The pose of the check; a vehicle has one check a pose at most.
+  std::uint64_t sequence = 0;
+  // The vehicle's when it was made.
+  std::uint64_t revision = 0;
+  // Candidates that nobody has decided on yet.
+  std::uint32_t open_count = 0;
+  std::int64_t create_time_ns = 0;  // Since the Unix epoch.
+  std::string payload;
+  // DATA_LOSS if the row is damaged: then only the sequence is set.
+  absl::Status damage = absl::OkStatus();
+};
+
+// Where an event stands among those of all vehicles. Positions are compared as
+// (order, key, number). The default one is that before all events.
+struct EventPosition {
+  // Grows from one write to the next, with gaps, as far as these did not run at
+  // the same time; given by the storage.
+  std::uint64_t order = 0;
+  VehicleKey key = 0;
+  std::uint64_t number = 0;
+  // Of the event that stands there.
+  std::int64_t checksum = 0;
+};
+
+inline bool operator==(const EventPosition& a, const EventPosition& b) {
+  return a.order == b.order && a.key == b.key && a.number == b.number &&
+         a.checksum == b.checksum;
+}
+
+// A change of a candidate that is stored, or the end of a vehicle that had any.
+struct EventRecord {
+  // Number among those of its vehicle: 1, 2, 3, ... without gaps.
+  std::uint64_t number = 0;
+  std::int64_t time_ns = 0;  // Since the Unix epoch.
+  // Empty once the vehicle is deleted, but for the event that tells it.
+  std::string payload;
+  // Given by the storage.
+  EventPosition position = {};
+  // DATA_LOSS if the row is damaged: then only position and number are set.
+  absl::Status damage = absl::OkStatus();
+};
+
+// One step of a vehicle's checks.
+struct ChecksWrite {
+  // What the store has to hold until then, and what it holds from then on.
+  // REQUIRES: after.last_event is before.last_event plus the count of events.
+  ChecksHead before;
+  ChecksHead after;
+  // Each takes the place of the one of its sequence, if there is one.
+  std::vector<CheckRecord> checks = {};
+  // Sequences of checks that go.
+  std::vector<std::uint64_t> removed = {};
+  // Given the numbers behind before.last_event. REQUIRES: payloads that are not
+  // empty.
+  std::vector<EventRecord> events = {};
 };
 
 // A graph that the poses of a vehicle make, as bytes that the storage does not

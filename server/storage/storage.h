@@ -108,8 +108,11 @@ class Storage {
   // vehicle's revision becomes that one if it is greater.
   virtual void UpdateVehicle(VehicleKey key, std::string payload,
                              std::uint64_t revision, Done done) = 0;
-  // Removes the vehicle and all that belongs to it.
-  virtual void DeleteVehicle(VehicleKey key, Done done) = 0;
+  // Removes the vehicle and all that belongs to it. Of its events, the places
+  // stay, without payload, so that who has read up to one can go on behind it;
+  // `farewell`, if it has had any, is its last one, whose number is given here.
+  virtual void DeleteVehicle(VehicleKey key, EventRecord farewell,
+                             Done done) = 0;
   // Stores batches that follow each other, all in one step.
   // FAILED_PRECONDITION (SEQUENCE_GAP) unless the first follows the last stored
   // one without a gap: what is stored is always a prefix. `vehicle_payload`, if
@@ -137,19 +140,32 @@ class Storage {
   virtual void ReplaceBatches(VehicleKey key,
                               std::vector<BatchVersions> batches,
                               std::uint64_t revision, Done done) = 0;
-  // ALREADY_EXISTS (WordsOf(kind).exists) if the id is taken.
+  // ALREADY_EXISTS (WordsOf(kind).exists) if the id is taken. In this and in
+  // DeletePosePair(), `checks` is what the pair makes of stored candidates, in
+  // the same step: see PutChecks().
   virtual void AddPosePair(VehicleKey key, PairKind kind, PosePairRecord pair,
+                           std::optional<ChecksWrite> checks,
                            std::uint64_t revision, Done done) = 0;
   // Removes the pair with the kind and the id of the record, and keeps that
   // record in its place, but for its number: the last kMostDeletedPairs stay,
   // until the vehicle is deleted. NOT_FOUND (WordsOf(kind).not_found) if there
   // is no such pair.
   virtual void DeletePosePair(VehicleKey key, DeletedPairRecord deleted,
+                              std::optional<ChecksWrite> checks,
                               std::uint64_t revision, Done done) = 0;
 
+  // Stores checks and the events that go with them, in one step.
+  // FAILED_PRECONDITION (INTERNAL) unless the vehicle's head of checks is
+  // `checks.before`. The vehicle's revision stays.
+  virtual void PutChecks(VehicleKey key, ChecksWrite checks, Done done) = 0;
+  // Removes events that are older than `before_ns`, of all vehicles, the oldest
+  // ones first, `most` at a time. Needs no owner. What is still to come is
+  // answered by another call.
+  virtual void DropEvents(std::int64_t before_ns, int most, Done done) = 0;
+
   // Gives up damaged rows: removes all poses after `last_sequence`, pairs that
-  // name such a pose, and damaged pairs, deleted ones too, and sets the
-  // payload.
+  // name such a pose, and damaged pairs, deleted ones too, checks after it and
+  // damaged ones, and sets the payload. No check after it counts as made.
   // FAILED_PRECONDITION unless a batch ends at `last_sequence`, or it is 0.
   virtual void DropDamaged(VehicleKey key, std::uint64_t last_sequence,
                            std::string payload, std::uint64_t revision,
@@ -254,6 +270,30 @@ class Storage {
   // The pairs that were deleted and are kept, the last one first.
   virtual absl::StatusOr<std::vector<DeletedPairRecord>> ListDeletedPairs(
       VehicleKey key) = 0;
+
+  // The checks of poses [first_sequence, last_sequence], by sequence;
+  // `open_only`: those with open candidates.
+  virtual absl::StatusOr<std::vector<CheckRecord>> ListChecks(
+      VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,
+      bool open_only, int limit) = 0;
+  // The vehicles that owe checks of poses that are stored, by key, from behind
+  // `after_key` on, but for those that another server has which lives: it makes
+  // them. Only key, id and checks of the records are set.
+  virtual absl::StatusOr<std::vector<VehicleRecord>> ListUnchecked(
+      VehicleKey after_key, int limit) = 0;
+  // The events of all vehicles behind a position, in order: those of a vehicle
+  // by number. Nothing can come to stand before what was answered once; so,
+  // other than what other reads answer, an event may be answered some time
+  // after its write is done, where others write to the store at the same time.
+  // Errors:
+  // OUT_OF_RANGE (CURSOR_TOO_OLD) if events behind the position were dropped
+  // (DropEvents()), (CURSOR_UNKNOWN) if the event that the position names is
+  // not there: it is one of another store, or of one that has lost its last
+  // writes.
+  virtual absl::StatusOr<std::vector<EventRecord>> ReadEvents(
+      const EventPosition& after, int limit) = 0;
+  // The position of the last event that ReadEvents() would answer now.
+  virtual absl::StatusOr<EventPosition> LastEvent() = 0;
 
   // OK if the next write is likely to be taken; otherwise what it would be
   // refused with: RESOURCE_EXHAUSTED (STORAGE_FULL), or UNAVAILABLE

@@ -58,10 +58,18 @@ class Copier {
           });
       if (!status.ok()) return status;
     }
-    return VisitDeletedPairs(
+    status = VisitDeletedPairs(
         source_, vehicle.key, [&](const DeletedPairRecord& deleted) {
           ++report_.deleted_pairs;
           return destination_->AddDeletedPair(vehicle.key, deleted);
+        });
+    if (!status.ok() || vehicle.checks == ChecksHead()) return status;
+    status = destination_->AddChecks(vehicle.key, vehicle.checks, {});
+    if (!status.ok()) return status;
+    return VisitChecks(
+        source_, vehicle.key, [&](const std::vector<CheckRecord>& checks) {
+          report_.checks += static_cast<std::int64_t>(checks.size());
+          return destination_->AddChecks(vehicle.key, vehicle.checks, checks);
         });
   }
 

@@ -10,8 +10,9 @@
 namespace revisit::server {
 namespace {
 
-// Pairs of poses that are read at a time.
+// Pairs of poses, and checks, that are read at a time.
 constexpr int kPairsPerRead = 1000;
+constexpr int kChecksPerRead = 200;
 
 absl::Status CountVehicle(Storage& storage, const std::string& id,
                           StoreReport* counts) {
@@ -42,10 +43,17 @@ absl::Status CountVehicle(Storage& storage, const std::string& id,
         });
     if (!read.ok()) return read;
   }
-  return VisitDeletedPairs(storage, record->key, [&](const DeletedPairRecord&) {
-    ++counts->deleted_pairs;
-    return absl::OkStatus();
-  });
+  const absl::Status read =
+      VisitDeletedPairs(storage, record->key, [&](const DeletedPairRecord&) {
+        ++counts->deleted_pairs;
+        return absl::OkStatus();
+      });
+  if (!read.ok()) return read;
+  return VisitChecks(
+      storage, record->key, [&](const std::vector<CheckRecord>& checks) {
+        counts->checks += static_cast<std::int64_t>(checks.size());
+        return absl::OkStatus();
+      });
 }
 
 // Whether the snapshot is the one that was read before.
@@ -64,7 +72,7 @@ bool HoldTheSame(const StoreReport& a, const StoreReport& b) {
          a.poses == b.poses && a.revised_batches == b.revised_batches &&
          a.loop_closures == b.loop_closures &&
          a.rejected_candidates == b.rejected_candidates &&
-         a.deleted_pairs == b.deleted_pairs;
+         a.deleted_pairs == b.deleted_pairs && a.checks == b.checks;
 }
 
 absl::Status VisitPosePairs(
@@ -96,6 +104,23 @@ absl::Status VisitDeletedPairs(
   return absl::OkStatus();
 }
 
+absl::Status VisitChecks(
+    Storage& storage, VehicleKey key,
+    const std::function<absl::Status(const std::vector<CheckRecord>&)>& visit) {
+  std::uint64_t first = 1;
+  while (true) {
+    const absl::StatusOr<std::vector<CheckRecord>> page = storage.ListChecks(
+        key, first, kLastSequence, /*open_only=*/false, kChecksPerRead);
+    if (!page.ok()) return page.status();
+    if (page->empty()) return absl::OkStatus();
+    for (const CheckRecord& check : *page) {
+      if (!check.damage.ok()) return check.damage;
+    }
+    if (absl::Status status = visit(*page); !status.ok()) return status;
+    first = page->back().sequence + 1;
+  }
+}
+
 absl::Status ReportVehicle(Storage& storage, const std::string& id,
                            StoreReport* report) {
   StoreReport counts;
@@ -107,6 +132,7 @@ absl::Status ReportVehicle(Storage& storage, const std::string& id,
   report->loop_closures += counts.loop_closures;
   report->rejected_candidates += counts.rejected_candidates;
   report->deleted_pairs += counts.deleted_pairs;
+  report->checks += counts.checks;
   if (!status.ok()) {
     report->problems.push_back("vehicle '" + Printable(id) +
                                "': " + std::string(status.message()));

@@ -23,6 +23,7 @@ struct StoreReport {
   std::int64_t loop_closures = 0;
   std::int64_t rejected_candidates = 0;
   std::int64_t deleted_pairs = 0;
+  std::int64_t checks = 0;
   std::int64_t snapshots = 0;
   // Problems for people to read, each in one line.
   std::vector<std::string> problems;
@@ -46,6 +47,10 @@ absl::Status VisitPosePairs(
 absl::Status VisitDeletedPairs(
     Storage& storage, VehicleKey key,
     const std::function<absl::Status(const DeletedPairRecord&)>& visit);
+// The same of the checks, by sequence, some at a time.
+absl::Status VisitChecks(
+    Storage& storage, VehicleKey key,
+    const std::function<absl::Status(const std::vector<CheckRecord>&)>& visit);
 
 // Reads all of a vehicle, both versions of its batches, and adds what there is
 // to the report's counts, or, if it cannot be read, to its problems. A vehicle

@@ -5,9 +5,10 @@ import re
 import pytest
 
 from caller_identities import METHODS, SERVICE, As, Code, ask, create, list_vehicles
-from revisit_server import Server
+from revisit_server import Server, wait_until
 from stubs import api
-from wire import PoseStream, append, failure_of, get, straight
+from watching import list_checks
+from wire import PoseStream, append, failure_of, get, laps, straight
 
 pytest_plugins = ("caller_identities",)
 
@@ -35,8 +36,10 @@ def request_about(method, vehicle):
         "ExportPoseGraph": lambda: api.ExportPoseGraphRequest(
             vehicle=vehicle),
         "FindCandidates": lambda: api.FindCandidatesRequest(vehicle=vehicle),
+        "GetCheck": lambda: api.GetCheckRequest(name=vehicle + "/checks/1"),
         "GetServerInfo": lambda: api.GetServerInfoRequest(),
         "GetVehicle": lambda: api.GetVehicleRequest(name=vehicle),
+        "ListChecks": lambda: api.ListChecksRequest(parent=vehicle),
         "ListDeletedPosePairs": lambda: api.ListDeletedPosePairsRequest(
             parent=vehicle),
         "ListLoopClosures": lambda: api.ListLoopClosuresRequest(
@@ -57,6 +60,9 @@ def request_about(method, vehicle):
             vehicle=api.Vehicle(name=vehicle, settings=api.VehicleSettings(
                 max_candidates=3)),
             update_mask={"paths": ["settings.max_candidates"]}),
+        # Begun behind the last event: the cursor of none is refused.
+        "WatchCandidates": lambda: api.WatchCandidatesRequest(
+            filter=api.CandidateFilter(vehicles=[vehicle])),
     }[method]()
 
 
@@ -80,7 +86,7 @@ def test_every_method_needs_credentials(token_server, method):
 # --- Tenants.
 
 # Methods that are not about one vehicle.
-ABOUT_NONE = {"GetServerInfo", "ListVehicles"}
+ABOUT_NONE = {"GetServerInfo", "ListVehicles", "WatchCandidates"}
 
 
 @pytest.mark.parametrize("method", sorted(set(METHODS) - ABOUT_NONE))
@@ -120,8 +126,9 @@ def test_vehicles_of_others_are_as_if_they_were_not_there(called_by, method):
 @pytest.mark.parametrize("method", sorted(set(METHODS) - ABOUT_NONE))
 def test_verbs_are_checked_whether_the_vehicle_is_there_or_not(
         called_by, method):
-    reads = {"ExportPoseGraph", "FindCandidates", "GetVehicle",
-             "ListDeletedPosePairs", "ListLoopClosures", "ListPoses",
+    reads = {"ExportPoseGraph", "FindCandidates", "GetCheck", "GetVehicle",
+             "ListChecks", "ListDeletedPosePairs", "ListLoopClosures",
+             "ListPoses",
              "ListRecordings",
              "ListRejectedCandidates"}
     admin = {"AcceptDataLoss", "DeleteVehicle"}
@@ -194,6 +201,46 @@ def test_candidates_of_a_stream_need_to_be_readable(called_by):
         assert (failure.code, failure.reason) == (
             Code.PERMISSION_DENIED, "NOT_GRANTED")
         assert failure.metadata["verb"] == "read"
+
+
+def test_watches_and_lists_of_candidates_tell_nothing_of_other_tenants(called_by):
+    storing = api.Vehicle(settings=api.VehicleSettings(
+        checks=api.STORED_CHECKS_STORED, node_spacing_meters=1.0,
+        sequence_length_meters=20.0, check_interval_meters=10.0))
+    names = {}
+    for tenant in ("acme", "umbra"):
+        names[tenant] = called_by(tenant).CreateVehicle(api.CreateVehicleRequest(
+            vehicle_id=f"{tenant}-watched-1", vehicle=storing)).vehicle.name
+    _, cursor = list_checks(called_by("acme"))
+    for tenant in ("umbra", "acme"):
+        append(called_by(tenant), names[tenant], laps(760))
+        wait_until(lambda t=tenant: get(called_by(t), names[t]).check_debt == 0,
+                   "checks")
+    for tenant in ("acme", "umbra"):
+        checks, _ = list_checks(called_by(tenant))
+        assert len(checks) > 20
+        assert {check.name.rsplit("/", 2)[0] for check in checks} == {names[tenant]}
+        states = sum(len(check.states) for check in checks)
+        events = []
+        watching = called_by(tenant).WatchCandidates(
+            api.WatchCandidatesRequest(cursor=cursor))
+        while len(events) < states:
+            told = next(watching)
+            if told.WhichOneof("event") == "candidate":
+                events.append(told.candidate)
+        watching.cancel()
+        # Without a gap by which others' events could be counted.
+        assert [event.number for event in events] == list(range(1, states + 1))
+        assert {event.vehicle_uid for event in events} == {
+            get(called_by(tenant), names[tenant]).uid}
+    # Who names one of others is told what is told of none.
+    for named in (names["umbra"], "vehicles/umbra-gone-9", "vehicles/nobodys-9"):
+        failure = failure_of(lambda n=named: next(called_by("acme").WatchCandidates(
+            api.WatchCandidatesRequest(filter=api.CandidateFilter(vehicles=[n])))))
+        assert (failure.code, failure.reason) == (
+            Code.NOT_FOUND, "VEHICLE_NOT_FOUND")
+        assert list_checks(called_by("acme"), filter=api.CandidateFilter(
+            vehicles=[named]))[0] == []
 
 
 def test_lists_hold_what_may_be_read_and_nothing_of_the_rest(

@@ -223,6 +223,8 @@ PAIR = '{"query_sequence": 4, "matched_sequence": 1}'
 REQUESTS = {
     "CreateVehicle": '{"vehicle_id": "ID"}',
     "GetVehicle": '{"name": "vehicles/ID"}',
+    "GetCheck": '{"name": "vehicles/ID/checks/4"}',
+    "ListChecks": '{"parent": "vehicles/ID"}',
     "UpdateVehicle": '{"vehicle": {"name": "vehicles/ID", "display_name": "x"},'
                      ' "update_mask": {"paths": ["display_name"]}}',
     "AppendPoses": f'{{"vehicle": "vehicles/ID", "poses": [{POSES}]}}',
@@ -247,7 +249,7 @@ REQUESTS = {
     "DeleteVehicle": '{"name": "vehicles/ID"}',
 }
 # Codes with which the server that has the vehicle answers.
-REASONS = {"AcceptDataLoss": "NO_DATA_LOSS"}
+REASONS = {"AcceptDataLoss": "NO_DATA_LOSS", "GetCheck": "CHECK_NOT_FOUND"}
 
 
 @pytest.fixture

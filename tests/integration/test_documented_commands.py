@@ -58,7 +58,7 @@ CLAIMS = [
     *(Claim(f"client/examples/{language}/README.md", f"<!-- {marker} -->",
             EXAMPLES, (f'commands(language, "{marker}")', f'"{language}": {{'))
       for language in ("go", "java", "python", "rust", "typescript")
-      for marker in ("build", "run")),
+      for marker in ("build", "run", "watch")),
     *claims("client/python/README.md",
             ("pip install", "tests/python/run", (
                 "install './client/python[rosbag,pandas,parquet,notebook]'",))),

@@ -372,20 +372,22 @@ def test_store_of_a_newer_format_is_refused_and_left_alone(tmp_path):
         pass
     path = database_of(store)
     database = sqlite3.connect(path)
-    database.execute("PRAGMA user_version = 7")
+    database.execute("PRAGMA user_version = 8")
     database.close()
     content = path.read_bytes()
     result = run("revisitd", "--listen", "127.0.0.1:0", "--store", store)
     assert result.returncode in (73, 74)
-    assert "has format 7" in result.stderr
+    assert "has format 8" in result.stderr
     assert "use a newer server" in result.stderr
     assert path.read_bytes() == content
 
 
 # The tables that a format lacks.
+CHECKS = ["check_heads", "checks", "events", "dropped_events"]
 LACKING = {4: ["snapshots", "snapshot_parts", "deleted_snapshots",
-               "deleted_pose_pairs"],
-           5: ["deleted_pose_pairs"]}
+               "deleted_pose_pairs", *CHECKS],
+           5: ["deleted_pose_pairs", *CHECKS],
+           6: CHECKS}
 
 
 @pytest.mark.parametrize("killed", [False, True], ids=["drained", "killed"])
@@ -410,7 +412,7 @@ def test_store_of_an_older_format_is_brought_up_to_date(version, killed, tmp_pat
     with Server(store) as server:
         stub = server.stub()
         assert state_of(stub) == before
-        assert stub.GetServerInfo(api.GetServerInfoRequest()).store_format == 6
+        assert stub.GetServerInfo(api.GetServerInfoRequest()).store_format == 7
         LOOP_CLOSURES.add(stub, VEHICLE, 9, 2)
         server.kill()
     with Server(store) as server:

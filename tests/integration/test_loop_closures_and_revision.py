@@ -64,7 +64,8 @@ def test_created_vehicle_shows_every_setting(stub, new_vehicle):
                                            heading_radians=0.06),
         shape_correlation_meters=20.0, apply_inflation=False,
         max_inflation=10.0, use_belief=True,
-        fix_correlation_meters=300.0)
+        fix_correlation_meters=300.0,
+        checks=api.STORED_CHECKS_ON_REQUEST, keep_probability=0.05)
     # There, not only equal to nothing.
     for field in ("acceptance_probability", "road_spacing_meters",
                   "shape_correlation_meters", "apply_inflation",

@@ -88,9 +88,10 @@ class HeldStorage : public Storage {
       storage_->UpdateVehicle(key, payload, revision, std::move(then));
     });
   }
-  void DeleteVehicle(VehicleKey key, Done done) override {
-    Submit(std::move(done),
-           [=](Done then) { storage_->DeleteVehicle(key, std::move(then)); });
+  void DeleteVehicle(VehicleKey key, EventRecord farewell, Done done) override {
+    Submit(std::move(done), [=](Done then) {
+      storage_->DeleteVehicle(key, farewell, std::move(then));
+    });
   }
   void AppendBatches(VehicleKey key, std::vector<BatchRecord> batches,
                      std::optional<std::string> vehicle_payload,
@@ -115,16 +116,26 @@ class HeldStorage : public Storage {
     });
   }
   void AddPosePair(VehicleKey key, PairKind kind, PosePairRecord pair,
-                   std::uint64_t revision, Done done) override {
+                   std::optional<ChecksWrite> checks, std::uint64_t revision,
+                   Done done) override {
     Submit(std::move(done), [=](Done then) {
-      storage_->AddPosePair(key, kind, pair, revision, std::move(then));
+      storage_->AddPosePair(key, kind, pair, checks, revision, std::move(then));
     });
   }
   void DeletePosePair(VehicleKey key, DeletedPairRecord deleted,
-                      std::uint64_t revision, Done done) override {
+                      std::optional<ChecksWrite> checks, std::uint64_t revision,
+                      Done done) override {
     Submit(std::move(done), [=](Done then) {
-      storage_->DeletePosePair(key, deleted, revision, std::move(then));
+      storage_->DeletePosePair(key, deleted, checks, revision, std::move(then));
     });
+  }
+  void PutChecks(VehicleKey key, ChecksWrite checks, Done done) override {
+    Submit(std::move(done), [=](Done then) {
+      storage_->PutChecks(key, checks, std::move(then));
+    });
+  }
+  void DropEvents(std::int64_t before_ns, int most, Done done) override {
+    storage_->DropEvents(before_ns, most, std::move(done));
   }
 
   void DropDamaged(VehicleKey key, std::uint64_t last_sequence,
@@ -220,6 +231,31 @@ class HeldStorage : public Storage {
     const absl::Status status = ReadStatus();
     if (!status.ok()) return status;
     return storage_->ListDeletedPairs(key);
+  }
+  absl::StatusOr<std::vector<CheckRecord>> ListChecks(
+      VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,
+      bool open_only, int limit) override {
+    const absl::Status status = ReadStatus();
+    if (!status.ok()) return status;
+    return storage_->ListChecks(key, first_sequence, last_sequence, open_only,
+                                limit);
+  }
+  absl::StatusOr<std::vector<VehicleRecord>> ListUnchecked(VehicleKey after_key,
+                                                           int limit) override {
+    const absl::Status status = ReadStatus();
+    if (!status.ok()) return status;
+    return storage_->ListUnchecked(after_key, limit);
+  }
+  absl::StatusOr<std::vector<EventRecord>> ReadEvents(
+      const EventPosition& after, int limit) override {
+    const absl::Status status = ReadStatus();
+    if (!status.ok()) return status;
+    return storage_->ReadEvents(after, limit);
+  }
+  absl::StatusOr<EventPosition> LastEvent() override {
+    const absl::Status status = ReadStatus();
+    if (!status.ok()) return status;
+    return storage_->LastEvent();
   }
 
  private:

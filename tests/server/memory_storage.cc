@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "server/base/status.h"
+#include "server/storage/record_checksum.h"
 
 namespace revisit::server {
 namespace {
@@ -92,6 +93,10 @@ void MemoryStorage::DropDamaged(VehicleKey key, std::uint64_t last_sequence,
                                    return !one.pair.damage.ok();
                                  }),
                   deleted.end());
+    ChecksHead& head = vehicle.record.checks;
+    head.checked_sequence = std::min(head.checked_sequence, last_sequence);
+    vehicle.checks.erase(vehicle.checks.upper_bound(last_sequence),
+                         vehicle.checks.end());
     return absl::OkStatus();
   }));
 }
@@ -161,11 +166,20 @@ void MemoryStorage::UpdateVehicle(VehicleKey key, std::string payload,
   }));
 }
 
-void MemoryStorage::DeleteVehicle(VehicleKey key, Done done) {
+void MemoryStorage::DeleteVehicle(VehicleKey key, EventRecord farewell,
+                                  Done done) {
   std::size_t erased = 0;
   {
     const std::lock_guard<std::mutex> guard(mutex_);
+    const auto found = vehicles_.find(key);
+    farewell.number = found == vehicles_.end()
+                          ? 0
+                          : found->second.record.checks.last_event + 1;
     erased = vehicles_.erase(key);
+    for (EventRecord& event : events_) {
+      if (event.position.key == key) event.payload.clear();
+    }
+    if (farewell.number > 1) AddEvent(key, std::move(farewell));
   }
   done(erased == 0 ? UnknownVehicle() : absl::OkStatus());
 }
@@ -244,17 +258,64 @@ void MemoryStorage::ReplaceBatches(VehicleKey key,
 }
 
 void MemoryStorage::AddPosePair(VehicleKey key, PairKind kind,
-                                PosePairRecord pair, std::uint64_t revision,
-                                Done done) {
+                                PosePairRecord pair,
+                                std::optional<ChecksWrite> checks,
+                                std::uint64_t revision, Done done) {
   done(Change(key, revision, [&](Vehicle& vehicle) {
-    return vehicle.pairs[kind].emplace(pair.id, pair).second
-               ? absl::OkStatus()
-               : Error(StatusCode::kAlreadyExists, WordsOf(kind).exists,
-                       "exists already");
+    if (!vehicle.pairs[kind].emplace(pair.id, pair).second) {
+      return Error(StatusCode::kAlreadyExists, WordsOf(kind).exists,
+                   "exists already");
+    }
+    return checks ? Store(key, *checks, &vehicle) : absl::OkStatus();
   }));
 }
 
+absl::Status MemoryStorage::Store(VehicleKey key, const ChecksWrite& write,
+                                  Vehicle* vehicle) {
+  if (vehicle->record.checks != write.before) {
+    return Error(StatusCode::kFailedPrecondition, "INTERNAL",
+                 "another head of checks");
+  }
+  vehicle->record.checks = write.after;
+  for (const std::uint64_t sequence : write.removed) {
+    vehicle->checks.erase(sequence);
+  }
+  for (const CheckRecord& check : write.checks) {
+    vehicle->checks[check.sequence] = check;
+  }
+  std::uint64_t number = write.before.last_event;
+  for (EventRecord event : write.events) {
+    event.number = ++number;
+    AddEvent(key, std::move(event));
+  }
+  return absl::OkStatus();
+}
+
+void MemoryStorage::AddEvent(VehicleKey key, EventRecord event) {
+  event.position = {++last_order_, key, event.number,
+                    ChecksumOfEvent(kStoreFormat, key, event)};
+  events_.push_back(std::move(event));
+}
+
+void MemoryStorage::PutChecks(VehicleKey key, ChecksWrite checks, Done done) {
+  done(Change(key, 0,
+              [&](Vehicle& vehicle) { return Store(key, checks, &vehicle); }));
+}
+
+void MemoryStorage::DropEvents(std::int64_t before_ns, int most, Done done) {
+  {
+    const std::lock_guard<std::mutex> guard(mutex_);
+    for (; most > 0 && !events_.empty() && events_.front().time_ns < before_ns;
+         --most) {
+      dropped_ = events_.front().position;
+      events_.erase(events_.begin());
+    }
+  }
+  done(absl::OkStatus());
+}
+
 void MemoryStorage::DeletePosePair(VehicleKey key, DeletedPairRecord deleted,
+                                   std::optional<ChecksWrite> checks,
                                    std::uint64_t revision, Done done) {
   done(Change(key, revision, [&](Vehicle& vehicle) {
     if (vehicle.pairs[deleted.kind].erase(deleted.pair.id) == 0) {
@@ -265,7 +326,7 @@ void MemoryStorage::DeletePosePair(VehicleKey key, DeletedPairRecord deleted,
     deleted.number = kept.empty() ? 1 : kept.front().number + 1;
     kept.push_front(deleted);
     if (kept.size() > kMostDeletedPairs) kept.pop_back();
-    return absl::OkStatus();
+    return checks ? Store(key, *checks, &vehicle) : absl::OkStatus();
   }));
 }
 
@@ -413,6 +474,71 @@ absl::StatusOr<std::vector<DeletedPairRecord>> MemoryStorage::ListDeletedPairs(
   if (found == vehicles_.end()) return UnknownVehicle();
   const auto& kept = found->second.deleted_pairs;
   return std::vector<DeletedPairRecord>(kept.begin(), kept.end());
+}
+
+absl::StatusOr<std::vector<CheckRecord>> MemoryStorage::ListChecks(
+    VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,
+    bool open_only, int limit) {
+  const std::lock_guard<std::mutex> guard(mutex_);
+  const auto found = vehicles_.find(key);
+  if (found == vehicles_.end()) return UnknownVehicle();
+  std::vector<CheckRecord> result;
+  for (const auto& [sequence, check] : found->second.checks) {
+    if (static_cast<int>(result.size()) == limit) break;
+    if (sequence < first_sequence || sequence > last_sequence) continue;
+    if (open_only && check.open_count == 0) continue;
+    result.push_back(check);
+  }
+  return result;
+}
+
+absl::StatusOr<std::vector<VehicleRecord>> MemoryStorage::ListUnchecked(
+    VehicleKey after_key, int limit) {
+  const std::lock_guard<std::mutex> guard(mutex_);
+  std::vector<VehicleRecord> result;
+  for (auto i = vehicles_.upper_bound(after_key);
+       i != vehicles_.end() && static_cast<int>(result.size()) < limit; ++i) {
+    const VehicleRecord complete = Complete(i->second);
+    if (!complete.checks.stores ||
+        complete.checks.checked_sequence >= complete.durable_sequence) {
+      continue;
+    }
+    VehicleRecord record;
+    record.key = i->first;
+    record.id = complete.id;
+    record.checks = complete.checks;
+    result.push_back(std::move(record));
+  }
+  return result;
+}
+
+absl::StatusOr<std::vector<EventRecord>> MemoryStorage::ReadEvents(
+    const EventPosition& after, int limit) {
+  const std::lock_guard<std::mutex> guard(mutex_);
+  auto next = events_.begin();
+  if (!(after == dropped_)) {
+    next = std::find_if(
+        events_.begin(), events_.end(),
+        [&](const EventRecord& event) { return event.position == after; });
+    if (next == events_.end()) {
+      return Error(
+          StatusCode::kOutOfRange,
+          after.order < dropped_.order ? "CURSOR_TOO_OLD" : "CURSOR_UNKNOWN",
+          "no event at the cursor");
+    }
+    ++next;
+  }
+  std::vector<EventRecord> result;
+  for (; next != events_.end() && static_cast<int>(result.size()) < limit;
+       ++next) {
+    result.push_back(*next);
+  }
+  return result;
+}
+
+absl::StatusOr<EventPosition> MemoryStorage::LastEvent() {
+  const std::lock_guard<std::mutex> guard(mutex_);
+  return events_.empty() ? dropped_ : events_.back().position;
 }
 
 }  // namespace revisit::server

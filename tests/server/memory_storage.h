@@ -26,7 +26,7 @@ class MemoryStorage : public Storage {
       std::function<void(absl::StatusOr<VehicleKey>)> done) override;
   void UpdateVehicle(VehicleKey key, std::string payload,
                      std::uint64_t revision, Done done) override;
-  void DeleteVehicle(VehicleKey key, Done done) override;
+  void DeleteVehicle(VehicleKey key, EventRecord farewell, Done done) override;
   void AppendBatches(VehicleKey key, std::vector<BatchRecord> batches,
                      std::optional<std::string> vehicle_payload,
                      Done done) override;
@@ -36,9 +36,13 @@ class MemoryStorage : public Storage {
   void ReplaceBatches(VehicleKey key, std::vector<BatchVersions> batches,
                       std::uint64_t revision, Done done) override;
   void AddPosePair(VehicleKey key, PairKind kind, PosePairRecord pair,
-                   std::uint64_t revision, Done done) override;
+                   std::optional<ChecksWrite> checks, std::uint64_t revision,
+                   Done done) override;
   void DeletePosePair(VehicleKey key, DeletedPairRecord deleted,
-                      std::uint64_t revision, Done done) override;
+                      std::optional<ChecksWrite> checks, std::uint64_t revision,
+                      Done done) override;
+  void PutChecks(VehicleKey key, ChecksWrite checks, Done done) override;
+  void DropEvents(std::int64_t before_ns, int most, Done done) override;
 
   void DropDamaged(VehicleKey key, std::uint64_t last_sequence,
                    std::string payload, std::uint64_t revision,
@@ -81,6 +85,14 @@ class MemoryStorage : public Storage {
       int limit) override;
   absl::StatusOr<std::vector<DeletedPairRecord>> ListDeletedPairs(
       VehicleKey key) override;
+  absl::StatusOr<std::vector<CheckRecord>> ListChecks(
+      VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,
+      bool open_only, int limit) override;
+  absl::StatusOr<std::vector<VehicleRecord>> ListUnchecked(VehicleKey after_key,
+                                                           int limit) override;
+  absl::StatusOr<std::vector<EventRecord>> ReadEvents(
+      const EventPosition& after, int limit) override;
+  absl::StatusOr<EventPosition> LastEvent() override;
 
  private:
   struct Batch {
@@ -95,6 +107,7 @@ class MemoryStorage : public Storage {
     std::map<PairKind, std::map<std::string, PosePairRecord>> pairs;
     // The last one first.
     std::deque<DeletedPairRecord> deleted_pairs;
+    std::map<std::uint64_t, CheckRecord> checks;
     std::vector<std::string> snapshot_parts;
     std::optional<SnapshotRecord> snapshot;
 
@@ -107,12 +120,18 @@ class MemoryStorage : public Storage {
   absl::Status Change(VehicleKey key, std::uint64_t revision,
                       const std::function<absl::Status(Vehicle&)>& change);
   Vehicle& Find(const std::string& id);
+  absl::Status Store(VehicleKey key, const ChecksWrite& write,
+                     Vehicle* vehicle);
+  void AddEvent(VehicleKey key, EventRecord event);
   static VehicleRecord Complete(const Vehicle& vehicle);
 
   std::size_t most_batch_bytes_ = Storage::MostBatchBytes();
   std::mutex mutex_;
   VehicleKey last_key_ = 0;
   std::map<VehicleKey, Vehicle> vehicles_;
+  std::vector<EventRecord> events_;
+  EventPosition dropped_;
+  std::uint64_t last_order_ = 0;
 };
 
 }  // namespace revisit::server

@@ -150,9 +150,9 @@ class OwnedStorage : public Storage {
     if (Refuses(key, done)) return;
     storage_->UpdateVehicle(key, std::move(payload), revision, std::move(done));
   }
-  void DeleteVehicle(VehicleKey key, Done done) override {
+  void DeleteVehicle(VehicleKey key, EventRecord farewell, Done done) override {
     if (Refuses(key, done)) return;
-    storage_->DeleteVehicle(key, std::move(done));
+    storage_->DeleteVehicle(key, std::move(farewell), std::move(done));
   }
   void AppendBatches(VehicleKey key, std::vector<BatchRecord> batches,
                      std::optional<std::string> vehicle_payload,
@@ -173,16 +173,25 @@ class OwnedStorage : public Storage {
                              std::move(done));
   }
   void AddPosePair(VehicleKey key, PairKind kind, PosePairRecord pair,
-                   std::uint64_t revision, Done done) override {
+                   std::optional<ChecksWrite> checks, std::uint64_t revision,
+                   Done done) override {
     if (Refuses(key, done)) return;
-    storage_->AddPosePair(key, kind, std::move(pair), revision,
-                          std::move(done));
+    storage_->AddPosePair(key, kind, std::move(pair), std::move(checks),
+                          revision, std::move(done));
   }
   void DeletePosePair(VehicleKey key, DeletedPairRecord deleted,
-                      std::uint64_t revision, Done done) override {
+                      std::optional<ChecksWrite> checks, std::uint64_t revision,
+                      Done done) override {
     if (Refuses(key, done)) return;
-    storage_->DeletePosePair(key, std::move(deleted), revision,
-                             std::move(done));
+    storage_->DeletePosePair(key, std::move(deleted), std::move(checks),
+                             revision, std::move(done));
+  }
+  void PutChecks(VehicleKey key, ChecksWrite checks, Done done) override {
+    if (Refuses(key, done)) return;
+    storage_->PutChecks(key, std::move(checks), std::move(done));
+  }
+  void DropEvents(std::int64_t before_ns, int most, Done done) override {
+    storage_->DropEvents(before_ns, most, std::move(done));
   }
   void DropDamaged(VehicleKey key, std::uint64_t last_sequence,
                    std::string payload, std::uint64_t revision,
@@ -244,6 +253,23 @@ class OwnedStorage : public Storage {
   absl::StatusOr<std::vector<DeletedPairRecord>> ListDeletedPairs(
       VehicleKey key) override {
     return storage_->ListDeletedPairs(key);
+  }
+  absl::StatusOr<std::vector<CheckRecord>> ListChecks(
+      VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,
+      bool open_only, int limit) override {
+    return storage_->ListChecks(key, first_sequence, last_sequence, open_only,
+                                limit);
+  }
+  absl::StatusOr<std::vector<VehicleRecord>> ListUnchecked(VehicleKey after_key,
+                                                           int limit) override {
+    return storage_->ListUnchecked(after_key, limit);
+  }
+  absl::StatusOr<std::vector<EventRecord>> ReadEvents(
+      const EventPosition& after, int limit) override {
+    return storage_->ReadEvents(after, limit);
+  }
+  absl::StatusOr<EventPosition> LastEvent() override {
+    return storage_->LastEvent();
   }
 
  private:

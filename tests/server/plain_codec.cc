@@ -48,6 +48,9 @@ std::vector<std::string> Lines(const std::string& payload) {
 
 std::string PlainCodec::EncodeVehicle(const VehicleConfig& config) const {
   std::ostringstream line;
+  if (config.checks == ChecksKept::kStored) {
+    line << "stores " << std::hexfloat << config.keep_probability << " ";
+  }
   line << "vehicle " << std::hexfloat << config.drive.node_spacing_meters << " "
        << config.drive.check_interval_meters << " "
        << config.drive.max_step_meters << " "
@@ -74,7 +77,14 @@ absl::StatusOr<VehicleConfig> PlainCodec::DecodeVehicle(
   std::int64_t max_age_ns = 0;
   bool is_geodetic = false;
   bool has_origin = false;
-  if (!(stream >> word) || word != "vehicle" ||
+  if (!(stream >> word)) return Damaged();
+  if (word == "stores") {
+    config.checks = ChecksKept::kStored;
+    if (!ReadDouble(stream, &config.keep_probability) || !(stream >> word)) {
+      return Damaged();
+    }
+  }
+  if (word != "vehicle" ||
       !ReadDouble(stream, &config.drive.node_spacing_meters) ||
       !ReadDouble(stream, &config.drive.check_interval_meters) ||
       !ReadDouble(stream, &config.drive.max_step_meters) ||

@@ -91,9 +91,23 @@ absl::Status BlockingWrites::Update(VehicleKey key, const std::string& payload,
   });
 }
 
-absl::Status BlockingWrites::Delete(VehicleKey key) {
+absl::Status BlockingWrites::Delete(VehicleKey key,
+                                    const EventRecord& farewell) {
   return Blocking([&](Storage::Done done) {
-    storage_->DeleteVehicle(key, std::move(done));
+    storage_->DeleteVehicle(key, farewell, std::move(done));
+  });
+}
+
+absl::Status BlockingWrites::PutChecks(VehicleKey key,
+                                       const ChecksWrite& checks) {
+  return Blocking([&](Storage::Done done) {
+    storage_->PutChecks(key, checks, std::move(done));
+  });
+}
+
+absl::Status BlockingWrites::DropEvents(std::int64_t before_ns, int most) {
+  return Blocking([&](Storage::Done done) {
+    storage_->DropEvents(before_ns, most, std::move(done));
   });
 }
 
@@ -147,9 +161,10 @@ absl::Status BlockingWrites::Replace(VehicleKey key,
 
 absl::Status BlockingWrites::AddPair(VehicleKey key, PairKind kind,
                                      const PosePairRecord& pair,
-                                     std::uint64_t revision) {
+                                     std::uint64_t revision,
+                                     const std::optional<ChecksWrite>& checks) {
   return Blocking([&](Storage::Done done) {
-    storage_->AddPosePair(key, kind, pair, revision, std::move(done));
+    storage_->AddPosePair(key, kind, pair, checks, revision, std::move(done));
   });
 }
 
@@ -172,11 +187,11 @@ absl::Status BlockingWrites::DeletePair(VehicleKey key, PairKind kind,
   return DeletePair(key, deleted, revision);
 }
 
-absl::Status BlockingWrites::DeletePair(VehicleKey key,
-                                        const DeletedPairRecord& deleted,
-                                        std::uint64_t revision) {
+absl::Status BlockingWrites::DeletePair(
+    VehicleKey key, const DeletedPairRecord& deleted, std::uint64_t revision,
+    const std::optional<ChecksWrite>& checks) {
   return Blocking([&](Storage::Done done) {
-    storage_->DeletePosePair(key, deleted, revision, std::move(done));
+    storage_->DeletePosePair(key, deleted, checks, revision, std::move(done));
   });
 }
 
@@ -201,6 +216,26 @@ std::string ToText(const VehicleRecord& record) {
        << " closures, " << record.rejected_candidate_count << " rejected, to "
        << record.durable_sequence << ", revision " << record.revision << ", '"
        << record.payload << "'";
+  if (record.checks != ChecksHead()) {
+    text << ", checks " << (record.checks.stores ? "stored" : "not stored")
+         << " to " << record.checks.checked_sequence << ", event "
+         << record.checks.last_event;
+  }
+  return text.str();
+}
+
+std::string ToText(const CheckRecord& record) {
+  std::ostringstream text;
+  text << record.sequence << ": " << record.open_count << " open, revision "
+       << record.revision << ", " << record.create_time_ns << " ns, '"
+       << record.payload << "'";
+  return text.str();
+}
+
+std::string ToText(const EventRecord& record) {
+  std::ostringstream text;
+  text << record.number << ": " << record.time_ns << " ns, '" << record.payload
+       << "'";
   return text.str();
 }
 

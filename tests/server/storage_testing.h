@@ -32,7 +32,7 @@ class BlockingWrites {
                                     std::uint64_t revision = 1);
   absl::Status Update(VehicleKey key, const std::string& payload,
                       std::uint64_t revision);
-  absl::Status Delete(VehicleKey key);
+  absl::Status Delete(VehicleKey key, const EventRecord& farewell = {});
   absl::Status Append(VehicleKey key, const BatchRecord& batch);
   absl::Status AppendAll(
       VehicleKey key, const std::vector<BatchRecord>& batches,
@@ -45,7 +45,8 @@ class BlockingWrites {
                        const std::vector<BatchVersions>& batches,
                        std::uint64_t revision);
   absl::Status AddPair(VehicleKey key, PairKind kind,
-                       const PosePairRecord& pair, std::uint64_t revision);
+                       const PosePairRecord& pair, std::uint64_t revision,
+                       const std::optional<ChecksWrite>& checks = std::nullopt);
   absl::Status DropDamaged(VehicleKey key, std::uint64_t last_sequence,
                            const std::string& payload, std::uint64_t revision);
   absl::Status PutSnapshotPart(VehicleKey key, std::uint32_t number,
@@ -56,8 +57,11 @@ class BlockingWrites {
   // Deletes the pair and keeps a record of it that has its id alone.
   absl::Status DeletePair(VehicleKey key, PairKind kind, const std::string& id,
                           std::uint64_t revision);
-  absl::Status DeletePair(VehicleKey key, const DeletedPairRecord& deleted,
-                          std::uint64_t revision);
+  absl::Status DeletePair(
+      VehicleKey key, const DeletedPairRecord& deleted, std::uint64_t revision,
+      const std::optional<ChecksWrite>& checks = std::nullopt);
+  absl::Status PutChecks(VehicleKey key, const ChecksWrite& checks);
+  absl::Status DropEvents(std::int64_t before_ns, int most);
 
  private:
   Storage* const storage_;
@@ -77,6 +81,10 @@ std::string SnapshotOf(Storage& storage, VehicleKey key);
 std::string ToText(const VehicleRecord& record);
 std::string ToText(const BatchRecord& record);
 std::string ToText(const PosePairRecord& record);
+// "7: 2 open, revision 5, 9 ns, 'payload'" and the like.
+std::string ToText(const CheckRecord& record);
+// "3: 9 ns, 'payload'" and the like, without its position.
+std::string ToText(const EventRecord& record);
 // "1, closure a: 9 at 2, 7 ns, deleted at 8 ns" and the like.
 std::string ToText(const DeletedPairRecord& record);
 template <typename T>

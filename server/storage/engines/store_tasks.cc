@@ -16,7 +16,7 @@ void Print(const StoreReport& report) {
   std::printf(
       "vehicles %lld\nposes %lld\nbatches %lld\nrevised batches %lld\n"
       "loop closures %lld\nrejected candidates %lld\ndeletions %lld\n"
-      "snapshots %lld\n",
+      "checks %lld\nsnapshots %lld\n",
       static_cast<long long>(report.vehicles),
       static_cast<long long>(report.poses),
       static_cast<long long>(report.batches),
@@ -24,6 +24,7 @@ void Print(const StoreReport& report) {
       static_cast<long long>(report.loop_closures),
       static_cast<long long>(report.rejected_candidates),
       static_cast<long long>(report.deleted_pairs),
+      static_cast<long long>(report.checks),
       static_cast<long long>(report.snapshots));
 }
 

@@ -142,9 +142,82 @@ CREATE TABLE deleted_pose_pairs (
 );
 )";
 
+// The columns of heads that change with every check are in no index, so that
+// their updates stay in place; the index of those who look for checks that are
+// owed holds only vehicles that store any.
+//
+// Servers of the version before know nothing of checks. Where one removes the
+// last poses of a vehicle, or deletes it, triggers do what a server of this
+// version does: no check of a removed pose stays or counts as made, and of a
+// deleted vehicle's events the places stay. The event that tells the deletion,
+// which such a server does not write, is of the transaction that deletes. The
+// trigger of heads is one that runs afterwards: one before would lock the row
+// of each append once more.
+constexpr char kChecks[] = R"(
+ALTER TABLE heads
+  ADD checks_stored boolean NOT NULL DEFAULT false,
+  ADD checked_sequence bigint NOT NULL DEFAULT 0,
+  ADD last_event bigint NOT NULL DEFAULT 0;
+CREATE INDEX heads_with_checks ON heads (key) WHERE checks_stored;
+
+CREATE TABLE checks (
+  vehicle_key bigint NOT NULL,
+  sequence bigint NOT NULL,
+  format int NOT NULL,
+  revision bigint NOT NULL,
+  open_count bigint NOT NULL,
+  create_time_ns bigint NOT NULL,
+  checksum bigint NOT NULL,
+  payload bytea NOT NULL,
+  PRIMARY KEY (vehicle_key, sequence)
+);
+
+CREATE TABLE events (
+  xid xid8 NOT NULL DEFAULT pg_current_xact_id(),
+  vehicle_key bigint NOT NULL,
+  number bigint NOT NULL,
+  format int NOT NULL,
+  time_ns bigint NOT NULL,
+  checksum bigint NOT NULL,
+  payload bytea NOT NULL,
+  PRIMARY KEY (vehicle_key, number)
+);
+CREATE INDEX events_in_order ON events (xid, vehicle_key, number);
+
+CREATE TABLE dropped_events (
+  xid xid8 NOT NULL,
+  vehicle_key bigint NOT NULL,
+  number bigint NOT NULL,
+  checksum bigint NOT NULL
+);
+INSERT INTO dropped_events VALUES ('0', 0, 0, 0);
+
+CREATE FUNCTION set_checks_back() RETURNS trigger LANGUAGE plpgsql AS $$
+BEGIN
+  DELETE FROM checks
+    WHERE vehicle_key = NEW.key AND sequence > NEW.durable_sequence;
+  UPDATE heads SET checked_sequence = NEW.durable_sequence
+    WHERE key = NEW.key AND checked_sequence > NEW.durable_sequence;
+  RETURN NULL;
+END $$;
+CREATE TRIGGER set_checks_back AFTER UPDATE OF durable_sequence ON heads
+  FOR EACH ROW WHEN (NEW.durable_sequence < OLD.durable_sequence)
+  EXECUTE FUNCTION set_checks_back();
+
+CREATE FUNCTION remove_checks() RETURNS trigger LANGUAGE plpgsql AS $$
+BEGIN
+  DELETE FROM checks WHERE vehicle_key = OLD.key;
+  UPDATE events SET payload = ''
+    WHERE vehicle_key = OLD.key AND xid <> pg_current_xact_id();
+  RETURN NULL;
+END $$;
+CREATE TRIGGER remove_checks AFTER DELETE ON vehicles
+  FOR EACH ROW EXECUTE FUNCTION remove_checks();
+)";
+
 // The first makes the tables of kFirstSchemaVersion, each further one those of
 // the next version. One that was released is never changed.
-constexpr const char* kMigrations[] = {kTables, kDeletedPairs};
+constexpr const char* kMigrations[] = {kTables, kDeletedPairs, kChecks};
 static_assert(kFirstSchemaVersion + std::size(kMigrations) - 1 ==
               kSchemaVersion);
 

@@ -15,12 +15,18 @@
 //                        narrow, because every write changes it
 //   handovers            vehicles that a server wants of another
 //   batches, revised_batches, loop_closures, rejected_candidates, snapshots,
-//   snapshot_parts, deleted_snapshots, deleted_pose_pairs
-//                        as in sqlite_storage.h; the last since version 5
+//   snapshot_parts, deleted_snapshots, deleted_pose_pairs, checks, events
+//                        as in sqlite_storage.h; the last two since version 6.
+//                        Events are in the order of the transactions that wrote
+//                        them: postgres_checks.h
+//   dropped_events       one row: the last event that was dropped, with all
+//                        before it; that before all events if none was; since
+//                        version 6
 //   deleted_vehicles     keys whose batches are still to be removed
 // Rows have the format versions and checksums of record_checksum.h, except
 // those of heads: they are compared with the last batch whenever a vehicle is
-// read.
+// read. Since version 6, heads also have how far the stored checks of a vehicle
+// have come.
 #ifndef REVISIT_SERVER_STORAGE_POSTGRES_MIGRATIONS_H_
 #define REVISIT_SERVER_STORAGE_POSTGRES_MIGRATIONS_H_
 
@@ -32,11 +38,11 @@
 
 namespace revisit::server {
 
-inline constexpr int kSchemaVersion = 5;
+inline constexpr int kSchemaVersion = 6;
 // Versions before the first were never in a release, and are refused.
 inline constexpr int kFirstSchemaVersion = 4;
 // The oldest that a server takes: the version before the last.
-inline constexpr int kOldestSchemaVersion = 4;
+inline constexpr int kOldestSchemaVersion = 5;
 
 // FAILED_PRECONDITION if this program does not know the tables; the message
 // says what to run.

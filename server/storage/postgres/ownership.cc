@@ -604,6 +604,11 @@ std::shared_ptr<const Claim> Ownership::Find(VehicleKey key) const {
   return found == claims_.end() ? nullptr : found->second;
 }
 
+Uuid Ownership::Self() const {
+  const MutexLock lock(&mutex_);
+  return me_;
+}
+
 VehicleKey Ownership::HighestKey() const {
   const MutexLock lock(&mutex_);
   return highest_key_;

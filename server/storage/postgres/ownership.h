@@ -119,6 +119,8 @@ class Ownership {
                                   const std::string& id);
   // The claim on a vehicle; null if there is none.
   std::shared_ptr<const Claim> Find(VehicleKey key) const;
+  // This server, as the database knows it.
+  Uuid Self() const;
   // The highest key of a vehicle that was ever claimed here.
   VehicleKey HighestKey() const;
   // Ends this claim here, not in the database. It is `lost` if the database

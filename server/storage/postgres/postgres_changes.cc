@@ -1,5 +1,6 @@
 #include "server/storage/postgres/postgres_changes.h"
 
+#include <algorithm>
 #include <cstddef>
 #include <functional>
 #include <limits>
@@ -9,6 +10,7 @@
 #include <vector>
 
 #include "server/base/status.h"
+#include "server/storage/postgres/postgres_checks.h"
 #include "server/storage/postgres/postgres_reads.h"
 #include "server/storage/postgres/postgres_snapshots.h"
 #include "server/storage/record_check.h"
@@ -38,47 +40,68 @@ constexpr Statement kChangeVehicle = {"change_vehicle",
                                       REVISIT_FENCE("", REVISIT_UNCHANGED)
                                           REVISIT_REPLACE_VEHICLE};
 
-// $11 last sequence, $12 and $13 ids of damaged pairs.
-#define REVISIT_DROP_DAMAGED(MORE)                                         \
-  REVISIT_FENCE(", durable_sequence = $11::int8", REVISIT_UNCHANGED        \
-                " AND coalesce((SELECT first_sequence + "                  \
-                "least(greatest(count, 1), 1000000) - 1 FROM batches "     \
-                "WHERE vehicle_key = $1::int8 AND first_sequence <= "      \
-                "$11::int8 ORDER BY first_sequence DESC LIMIT 1), 0) = "   \
-                "$11::int8")                                               \
-  REVISIT_FORGET_SNAPSHOT                                                  \
-  ", b AS (DELETE FROM batches t USING h WHERE t.vehicle_key = h.key AND " \
-  "t.first_sequence > $11::int8), "                                        \
-  "r AS (DELETE FROM revised_batches t USING h WHERE t.vehicle_key = "     \
-  "h.key AND t.first_sequence > $11::int8), "                              \
-  "l AS (DELETE FROM loop_closures t USING h WHERE t.vehicle_key = h.key " \
-  "AND (greatest(t.query_sequence, t.matched_sequence) > $11::int8 OR "    \
-  "t.id = ANY($12::text[]))), "                                            \
-  "n AS (DELETE FROM rejected_candidates t USING h WHERE t.vehicle_key = " \
-  "h.key AND (greatest(t.query_sequence, t.matched_sequence) > $11::int8 " \
-  "OR t.id = ANY($13::text[]))) " MORE REVISIT_REPLACE_VEHICLE
-constexpr Statement kDropDamaged = {"drop_damaged", REVISIT_DROP_DAMAGED("")};
-// $14 numbers of damaged deletions.
-constexpr Statement kDropDamagedDeletions = {
-    "drop_damaged_deletions",
-    REVISIT_DROP_DAMAGED(", x AS (DELETE FROM deleted_pose_pairs t USING h "
-                         "WHERE t.vehicle_key = h.key AND "
-                         "t.number = ANY($14::int8[])) ")};
+// $11 last sequence, $12 and $13 ids of damaged pairs, $14 numbers of damaged
+// deletions.
+#define REVISIT_DROP_DAMAGED(CHANGES, MORE)                                 \
+  REVISIT_FENCE(", durable_sequence = $11::int8" CHANGES, REVISIT_UNCHANGED \
+                " AND coalesce((SELECT first_sequence + "                   \
+                "least(greatest(count, 1), 1000000) - 1 FROM batches "      \
+                "WHERE vehicle_key = $1::int8 AND first_sequence <= "       \
+                "$11::int8 ORDER BY first_sequence DESC LIMIT 1), 0) = "    \
+                "$11::int8")                                                \
+  REVISIT_FORGET_SNAPSHOT                                                   \
+  ", b AS (DELETE FROM batches t USING h WHERE t.vehicle_key = h.key AND "  \
+  "t.first_sequence > $11::int8), "                                         \
+  "r AS (DELETE FROM revised_batches t USING h WHERE t.vehicle_key = "      \
+  "h.key AND t.first_sequence > $11::int8), "                               \
+  "l AS (DELETE FROM loop_closures t USING h WHERE t.vehicle_key = h.key "  \
+  "AND (greatest(t.query_sequence, t.matched_sequence) > $11::int8 OR "     \
+  "t.id = ANY($12::text[]))), "                                             \
+  "n AS (DELETE FROM rejected_candidates t USING h WHERE t.vehicle_key = "  \
+  "h.key AND (greatest(t.query_sequence, t.matched_sequence) > $11::int8 "  \
+  "OR t.id = ANY($13::text[]))), "                                          \
+  "x AS (DELETE FROM deleted_pose_pairs t USING h WHERE t.vehicle_key = "   \
+  "h.key AND t.number = ANY($14::int8[])) " MORE REVISIT_REPLACE_VEHICLE
+// Without room for checks.
+constexpr Statement kDropDamaged = {"drop_damaged",
+                                    REVISIT_DROP_DAMAGED("", "")};
+// $15 damaged checks, $16 and $17 the checked sequence and the last event that
+// the rows tell of: where a head that was lost came back without them, it gets
+// these.
+constexpr Statement kDropDamagedChecks = {
+    "drop_damaged_checks",
+    REVISIT_DROP_DAMAGED(
+        ", checks_stored = checks_stored OR last_event < $17::int8, "
+        "checked_sequence = least($11::int8, CASE WHEN last_event < $17::int8 "
+        "THEN $16::int8 ELSE checked_sequence END), "
+        "last_event = greatest(last_event, $17::int8)",
+        ", c AS (DELETE FROM checks t USING h WHERE t.vehicle_key = h.key AND "
+        "(t.sequence > $11::int8 OR t.sequence = ANY($15::int8[]))) ")};
 #undef REVISIT_DROP_DAMAGED
 constexpr Statement kRaiseRevision = {
     "raise_revision", REVISIT_FENCE("", "") "SELECT key FROM h"};
 constexpr Statement kHeadHolds = {
     "head_holds", "SELECT key FROM heads WHERE " REVISIT_HEAD_HOLDS};
-constexpr Statement kRemoveVehicle = {
-    "remove_vehicle",
-    "WITH h AS (DELETE FROM heads WHERE " REVISIT_HEAD_HOLDS
-    " RETURNING key) " REVISIT_FORGET_SNAPSHOT
-    ", v AS (DELETE FROM vehicles t USING h WHERE t.key = h.key), "
-    "l AS (DELETE FROM loop_closures t USING h WHERE t.vehicle_key = h.key), "
-    "n AS (DELETE FROM rejected_candidates t USING h "
-    "WHERE t.vehicle_key = h.key), "
-    "o AS (DELETE FROM handovers t USING h WHERE t.key = h.key) "
-    "INSERT INTO deleted_vehicles (key) SELECT key FROM h RETURNING key"};
+#define REVISIT_REMOVE_VEHICLE(MORE)                                         \
+  "WITH h AS (DELETE FROM heads WHERE " REVISIT_HEAD_HOLDS                   \
+  " RETURNING key) " REVISIT_FORGET_SNAPSHOT                                 \
+  ", v AS (DELETE FROM vehicles t USING h WHERE t.key = h.key), "            \
+  "l AS (DELETE FROM loop_closures t USING h WHERE t.vehicle_key = h.key), " \
+  "n AS (DELETE FROM rejected_candidates t USING h "                         \
+  "WHERE t.vehicle_key = h.key), "                                           \
+  "o AS (DELETE FROM handovers t USING h WHERE t.key = h.key) " MORE         \
+  "INSERT INTO deleted_vehicles (key) SELECT key FROM h RETURNING key"
+// Deleted pairs, checks and the payloads of events go with the row in vehicles.
+constexpr Statement kRemoveVehicle = {"remove_vehicle",
+                                      REVISIT_REMOVE_VEHICLE("")};
+// $5 number, $6 format, $7 time, $8 checksum, $9 payload.
+constexpr Statement kRemoveVehicleAndTell = {
+    "remove_vehicle_and_tell",
+    REVISIT_REMOVE_VEHICLE(
+        ", w AS (INSERT INTO events (vehicle_key, number, format, time_ns, "
+        "checksum, payload) SELECT key, $5::int8, $6::int8, $7::int8, "
+        "$8::int8, $9::bytea FROM h) ")};
+#undef REVISIT_REMOVE_VEHICLE
 
 // $1 key, $2 first sequences, $3 counts, $4 checksums, $5 payloads, $6 format,
 // $7 revision.
@@ -141,75 +164,103 @@ constexpr Statement kPurge = {
 
 struct PairStatements {
   Statement insert;
-  // Without room for what is deleted.
+  Statement insert_with_checks;
   Statement remove;
-  Statement remove_and_keep;
+  Statement remove_with_checks;
+  // $1 vehicle, $2 id.
+  Statement find;
 };
 
-#define REVISIT_INSERT_PAIR(TABLE)                                      \
-  REVISIT_FENCE("", " AND NOT EXISTS (SELECT 1 FROM " TABLE             \
-                    " WHERE vehicle_key = $1::int8 AND id = $6::text)") \
-  "INSERT INTO " TABLE                                                  \
-  " (vehicle_key, id, format, query_sequence, matched_sequence, "       \
-  "create_time_ns, checksum, payload) SELECT key, $6::text, $7::int8, " \
-  "$8::int8, $9::int8, $10::int8, $11::int8, $12::bytea FROM h "        \
-  "RETURNING vehicle_key"
-#define REVISIT_REMOVE_PAIR(TABLE, MORE)                                \
-  REVISIT_FENCE("", " AND EXISTS (SELECT 1 FROM " TABLE                 \
-                    " WHERE vehicle_key = $1::int8 AND id = $6::text)") \
-  MORE "DELETE FROM " TABLE                                             \
-       " t USING h WHERE t.vehicle_key = h.key AND "                    \
-       "t.id = $6::text RETURNING t.vehicle_key"
+// $6 id, $7 format, $8 query sequence, $9 matched sequence, $10 creation, $11
+// checksum, $12 payload.
+#define REVISIT_INSERT_PAIR(TABLE, CHANGES, CONDITIONS, MORE)                  \
+  REVISIT_FENCE(CHANGES,                                                       \
+                CONDITIONS " AND NOT EXISTS (SELECT 1 FROM " TABLE             \
+                           " WHERE vehicle_key = $1::int8 AND id = $6::text)") \
+  MORE "INSERT INTO " TABLE                                                    \
+       " (vehicle_key, id, format, query_sequence, matched_sequence, "         \
+       "create_time_ns, checksum, payload) SELECT key, $6::text, "             \
+       "$7::int8, $8::int8, $9::int8, $10::int8, $11::int8, "                  \
+       "$12::bytea FROM h RETURNING vehicle_key"
 // Keeps what is deleted, and removes the rows behind the last ones, which are
-// one more once this is done. $7 number, $8 kind, $9 format, $10 query
+// one more once this is done. $6 id, $7 number, $8 kind, $9 format, $10 query
 // sequence, $11 matched sequence, $12 creation, $13 deletion, $14 checksum, $15
 // payload, $16 how many of those before stay.
-#define REVISIT_KEEP_DELETED                                              \
-  ", k AS (INSERT INTO deleted_pose_pairs (vehicle_key, number, kind, "   \
-  "id, format, query_sequence, matched_sequence, create_time_ns, "        \
-  "delete_time_ns, checksum, payload) SELECT key, $7::int8, $8::int8, "   \
-  "$6::text, $9::int8, $10::int8, $11::int8, $12::int8, $13::int8, "      \
-  "$14::int8, $15::bytea FROM h), "                                       \
-  "o AS (DELETE FROM deleted_pose_pairs t USING h WHERE t.vehicle_key = " \
-  "h.key AND t.number <= (SELECT number FROM deleted_pose_pairs WHERE "   \
-  "vehicle_key = $1::int8 ORDER BY number DESC LIMIT 1 OFFSET $16::int8)) "
-constexpr PairStatements kClosures = {
-    {"insert_loop_closures", REVISIT_INSERT_PAIR("loop_closures")},
-    {"remove_loop_closures", REVISIT_REMOVE_PAIR("loop_closures", "")},
-    {"keep_loop_closures",
-     REVISIT_REMOVE_PAIR("loop_closures", REVISIT_KEEP_DELETED)}};
-constexpr PairStatements kRejections = {
-    {"insert_rejected_candidates", REVISIT_INSERT_PAIR("rejected_candidates")},
-    {"remove_rejected_candidates",
-     REVISIT_REMOVE_PAIR("rejected_candidates", "")},
-    {"keep_rejected_candidates",
-     REVISIT_REMOVE_PAIR("rejected_candidates", REVISIT_KEEP_DELETED)}};
+#define REVISIT_REMOVE_PAIR(TABLE, CHANGES, CONDITIONS, MORE)                  \
+  REVISIT_FENCE(CHANGES,                                                       \
+                CONDITIONS " AND EXISTS (SELECT 1 FROM " TABLE                 \
+                           " WHERE vehicle_key = $1::int8 AND id = $6::text)") \
+  ", k AS (INSERT INTO deleted_pose_pairs (vehicle_key, number, kind, "        \
+  "id, format, query_sequence, matched_sequence, create_time_ns, "             \
+  "delete_time_ns, checksum, payload) SELECT key, $7::int8, $8::int8, "        \
+  "$6::text, $9::int8, $10::int8, $11::int8, $12::int8, $13::int8, "           \
+  "$14::int8, $15::bytea FROM h), "                                            \
+  "o AS (DELETE FROM deleted_pose_pairs t USING h WHERE t.vehicle_key = "      \
+  "h.key AND t.number <= (SELECT number FROM deleted_pose_pairs WHERE "        \
+  "vehicle_key = $1::int8 ORDER BY number DESC LIMIT 1 OFFSET "                \
+  "$16::int8)) " MORE "DELETE FROM " TABLE                                     \
+  " t USING h WHERE t.vehicle_key = h.key AND t.id = $6::text RETURNING"       \
+  " t.vehicle_key"
+#define REVISIT_PAIR_STATEMENTS(TABLE)                                        \
+  {                                                                           \
+    {"insert_" TABLE, REVISIT_INSERT_PAIR(TABLE, "", "", "")},                \
+        {"insert_with_checks_" TABLE,                                         \
+         REVISIT_INSERT_PAIR(                                                 \
+             TABLE, REVISIT_CHECKS_CHANGES("$13"),                            \
+             REVISIT_CHECKS_CONDITIONS("$13"),                                \
+             REVISIT_CHECKS_ROWS("$13", "$14", "$15", "$16", "$17", "$18"))}, \
+        {"remove_" TABLE, REVISIT_REMOVE_PAIR(TABLE, "", "", "")},            \
+        {"remove_with_checks_" TABLE,                                         \
+         REVISIT_REMOVE_PAIR(                                                 \
+             TABLE, REVISIT_CHECKS_CHANGES("$17"),                            \
+             REVISIT_CHECKS_CONDITIONS("$17"),                                \
+             REVISIT_CHECKS_ROWS("$17", "$18", "$19", "$20", "$21", "$22"))}, \
+    {                                                                         \
+      "find_" TABLE, "SELECT vehicle_key FROM " TABLE                         \
+                     " WHERE vehicle_key = $1::int8 AND id = $2::text"        \
+    }                                                                         \
+  }
+constexpr PairStatements kClosures = REVISIT_PAIR_STATEMENTS("loop_closures");
+constexpr PairStatements kRejections =
+    REVISIT_PAIR_STATEMENTS("rejected_candidates");
+#undef REVISIT_PAIR_STATEMENTS
 #undef REVISIT_INSERT_PAIR
 #undef REVISIT_REMOVE_PAIR
-#undef REVISIT_KEEP_DELETED
 
 constexpr Statement kLastNumber = {
     "last_number",
     "SELECT coalesce(max(number), 0)::int8 FROM deleted_pose_pairs WHERE "
     "vehicle_key = $1::int8"};
 
-// The number for the next pair of the vehicle that is deleted; nothing where
-// none are kept.
-absl::StatusOr<std::optional<std::uint64_t>> NextNumber(
-    PostgresConnection& connection, VehicleKey key) {
-  using Number = std::optional<std::uint64_t>;
-  const absl::StatusOr<bool> keeps = KeepsDeletedPairs(connection);
-  if (!keeps.ok()) return keeps.status();
-  if (!*keeps) return Number();
-  const auto rows = connection.Run(kLastNumber, Parameters().Add(key));
-  if (!rows.ok()) return rows.status();
-  const auto next = NumberAfter(rows->Integer(0, 0));
-  if (!next.ok()) return next.status();
-  return Number(*next);
-}
-
 const PairStatements& StatementsOf(PairKind kind) {
   return kind == PairKind::kLoopClosure ? kClosures : kRejections;
+}
+
+absl::Status WhyPairFailed(PostgresConnection& connection, const Fence& fence,
+                           const std::optional<ChecksWrite>& checks,
+                           absl::Status failure) {
+  return checks ? WhyChecksFailed(connection, fence, std::move(failure))
+                : failure;
+}
+
+// Why a pair was not written: `otherwise` if it is there as `was_there` says,
+// else because of the checks that go with it.
+absl::Status WhyPairNotWritten(PostgresConnection& connection,
+                               const Fence& fence, PairKind kind,
+                               const std::string& id,
+                               const std::optional<ChecksWrite>& checks,
+                               bool was_there, absl::Status otherwise) {
+  if (checks) {
+    const auto pair = connection.Run(StatementsOf(kind).find,
+                                     Parameters().Add(fence.key).AddText(id));
+    if (!pair.ok()) return pair.status();
+    if ((pair->size() > 0) != was_there) {
+      const absl::StatusOr<ChecksHead> head = FindChecksHead(connection, fence);
+      if (!head.ok()) return head.status();
+      otherwise = OtherChecksHead(*head, checks->before);
+    }
+  }
+  return WhyNotWritten(connection, fence, std::move(otherwise));
 }
 
 absl::Status ReviseSome(PostgresConnection& connection, VehicleKey key,
@@ -389,8 +440,30 @@ absl::Status ChangeVehicle(PostgresConnection& connection, const Fence& fence,
   return WhyNotWritten(connection, fence, Fenced("the vehicle"));
 }
 
-absl::Status RemoveVehicle(PostgresConnection& connection, const Fence& fence) {
-  const auto rows = connection.Run(kRemoveVehicle, FenceOf(fence));
+absl::Status RemoveVehicle(PostgresConnection& connection, const Fence& fence,
+                           EventRecord farewell) {
+  const absl::StatusOr<bool> keeps = KeepsChecks(connection);
+  if (!keeps.ok()) return keeps.status();
+  std::uint64_t last_event = 0;
+  if (*keeps) {
+    // The rows tell more than a head that was lost and came back.
+    const absl::StatusOr<ChecksHead> rows = HeadOfRows(connection, fence.key);
+    if (!rows.ok()) return rows.status();
+    const absl::StatusOr<ChecksHead> head = FindChecksHead(connection, fence);
+    if (!head.ok()) return head.status();
+    last_event = std::max(rows->last_event, head->last_event);
+  }
+  Parameters parameters = FenceOf(fence);
+  if (last_event > 0) {
+    farewell.number = last_event + 1;
+    parameters.Add(Signed(farewell.number))
+        .Add(kSharedRowFormat)
+        .Add(farewell.time_ns)
+        .Add(ChecksumOfEvent(kSharedRowFormat, fence.key, farewell))
+        .AddText(farewell.payload);
+  }
+  const auto rows = connection.Run(
+      last_event > 0 ? kRemoveVehicleAndTell : kRemoveVehicle, parameters);
   if (!rows.ok()) return rows.status();
   if (rows->size() > 0) return absl::OkStatus();
   return WhyNotWritten(connection, fence, Fenced("the vehicle"));
@@ -437,9 +510,20 @@ absl::Status DropDamagedRows(PostgresConnection& connection, const Fence& fence,
   for (const DeletedPairRecord& deleted : *deletions) {
     if (!deleted.pair.damage.ok()) damaged.push_back(Signed(deleted.number));
   }
-  if (!damaged.empty()) parameters.Add(damaged);
-  const auto rows = connection.Run(
-      damaged.empty() ? kDropDamaged : kDropDamagedDeletions, parameters);
+  parameters.Add(damaged);
+  const absl::StatusOr<bool> keeps = KeepsChecks(connection);
+  if (!keeps.ok()) return keeps.status();
+  if (*keeps) {
+    const auto checks = DamagedChecks(connection, fence.key);
+    if (!checks.ok()) return checks.status();
+    const absl::StatusOr<ChecksHead> told = HeadOfRows(connection, fence.key);
+    if (!told.ok()) return told.status();
+    parameters.Add(*checks)
+        .Add(Signed(told->checked_sequence))
+        .Add(Signed(told->last_event));
+  }
+  const auto rows =
+      connection.Run(*keeps ? kDropDamagedChecks : kDropDamaged, parameters);
   if (!rows.ok()) return rows.status();
   if (rows->size() > 0) {
     NoteWritten(fence, revision);
@@ -450,7 +534,9 @@ absl::Status DropDamagedRows(PostgresConnection& connection, const Fence& fence,
 
 absl::Status InsertPosePair(PostgresConnection& connection, const Fence& fence,
                             PairKind kind, const PosePairRecord& pair,
+                            const std::optional<ChecksWrite>& checks,
                             std::uint64_t revision) {
+  const PairStatements& statements = StatementsOf(kind);
   Parameters parameters = FenceOf(fence, revision);
   parameters.AddText(pair.id)
       .Add(kSharedRowFormat)
@@ -459,43 +545,54 @@ absl::Status InsertPosePair(PostgresConnection& connection, const Fence& fence,
       .Add(pair.create_time_ns)
       .Add(ChecksumOfPosePair(kSharedRowFormat, fence.key, kind, pair))
       .AddText(pair.payload);
-  const auto rows = connection.Run(StatementsOf(kind).insert, parameters);
-  if (!rows.ok()) return rows.status();
+  if (checks) AddChecks(fence.key, *checks, &parameters);
+  const auto rows = connection.Run(
+      checks ? statements.insert_with_checks : statements.insert, parameters);
+  if (!rows.ok())
+    return WhyPairFailed(connection, fence, checks, rows.status());
   if (rows->size() > 0) {
     NoteWritten(fence, revision);
     return absl::OkStatus();
   }
-  return WhyNotWritten(connection, fence, PairExists(kind, pair.id));
+  return WhyPairNotWritten(connection, fence, kind, pair.id, checks,
+                           /*was_there=*/true, PairExists(kind, pair.id));
 }
 
 absl::Status RemovePosePair(PostgresConnection& connection, const Fence& fence,
-                            DeletedPairRecord deleted, std::uint64_t revision) {
-  const auto number = NextNumber(connection, fence.key);
+                            DeletedPairRecord deleted,
+                            const std::optional<ChecksWrite>& checks,
+                            std::uint64_t revision) {
+  const auto last = connection.Run(kLastNumber, Parameters().Add(fence.key));
+  if (!last.ok()) return last.status();
+  const auto number = NumberAfter(last->Integer(0, 0));
   if (!number.ok()) return number.status();
+  deleted.number = *number;
   const PosePairRecord& pair = deleted.pair;
   const PairStatements& statements = StatementsOf(deleted.kind);
-  Parameters parameters = FenceOf(fence, revision).AddText(pair.id);
-  if (*number) {
-    deleted.number = **number;
-    parameters.Add(Signed(deleted.number))
-        .Add(NumberOf(deleted.kind))
-        .Add(kSharedRowFormat)
-        .Add(Signed(pair.query_sequence))
-        .Add(Signed(pair.matched_sequence))
-        .Add(pair.create_time_ns)
-        .Add(deleted.delete_time_ns)
-        .Add(ChecksumOfDeletedPair(kSharedRowFormat, fence.key, deleted))
-        .AddText(pair.payload)
-        .Add(std::int64_t{kMostDeletedPairs - 1});
-  }
+  Parameters parameters = FenceOf(fence, revision);
+  parameters.AddText(pair.id)
+      .Add(Signed(deleted.number))
+      .Add(NumberOf(deleted.kind))
+      .Add(kSharedRowFormat)
+      .Add(Signed(pair.query_sequence))
+      .Add(Signed(pair.matched_sequence))
+      .Add(pair.create_time_ns)
+      .Add(deleted.delete_time_ns)
+      .Add(ChecksumOfDeletedPair(kSharedRowFormat, fence.key, deleted))
+      .AddText(pair.payload)
+      .Add(std::int64_t{kMostDeletedPairs - 1});
+  if (checks) AddChecks(fence.key, *checks, &parameters);
   const auto rows = connection.Run(
-      *number ? statements.remove_and_keep : statements.remove, parameters);
-  if (!rows.ok()) return rows.status();
+      checks ? statements.remove_with_checks : statements.remove, parameters);
+  if (!rows.ok())
+    return WhyPairFailed(connection, fence, checks, rows.status());
   if (rows->size() > 0) {
     NoteWritten(fence, revision);
     return absl::OkStatus();
   }
-  return WhyNotWritten(connection, fence, NoSuchPair(deleted.kind, pair.id));
+  return WhyPairNotWritten(connection, fence, deleted.kind, pair.id, checks,
+                           /*was_there=*/false,
+                           NoSuchPair(deleted.kind, pair.id));
 }
 
 absl::Status ConfirmHead(PostgresConnection& connection, const Fence& fence) {

@@ -1,14 +1,16 @@
-// The statements that write anything but appends (postgres_appends.h). A write
-// is one statement, which commits by itself (ReviseBatchRows() excepted, which
-// may be too large), so that a server that is stopped in the middle of it holds
-// nothing. It compares owner, epoch and revision of the vehicle's head, and
-// writes nothing where they differ: ABORTED (EPOCH_FENCED). Other errors are
-// those of the calls of Storage (storage.h) that use these functions, and of
-// connection.h.
+// The statements that write anything but appends (postgres_appends.h), and
+// checks and snapshots that go alone (postgres_checks.h, postgres_snapshots.h).
+// A write is one statement, which commits by itself (ReviseBatchRows()
+// excepted, which may be too large), so that a server that is stopped in the
+// middle of it holds nothing. It compares owner, epoch and revision of the
+// vehicle's head, and writes nothing where they differ: ABORTED (EPOCH_FENCED).
+// Other errors are those of the calls of Storage (storage.h) that use these
+// functions, and of connection.h.
 #ifndef REVISIT_SERVER_STORAGE_POSTGRES_POSTGRES_CHANGES_H_
 #define REVISIT_SERVER_STORAGE_POSTGRES_POSTGRES_CHANGES_H_
 
 #include <cstdint>
+#include <optional>
 #include <string>
 
 #include "absl/status/status.h"
@@ -27,7 +29,9 @@ absl::StatusOr<VehicleKey> InsertVehicle(PostgresConnection& connection,
                                          VehicleKey above);
 absl::Status ChangeVehicle(PostgresConnection& connection, const Fence& fence,
                            const std::string& payload, std::uint64_t revision);
-absl::Status RemoveVehicle(PostgresConnection& connection, const Fence& fence);
+// Implements Storage::DeleteVehicle().
+absl::Status RemoveVehicle(PostgresConnection& connection, const Fence& fence,
+                           EventRecord farewell);
 
 absl::Status ReviseBatchRows(PostgresConnection& connection, const Fence& fence,
                              const BatchSource& batches,
@@ -43,11 +47,13 @@ absl::Status DropDamagedRows(PostgresConnection& connection, const Fence& fence,
 
 absl::Status InsertPosePair(PostgresConnection& connection, const Fence& fence,
                             PairKind kind, const PosePairRecord& pair,
+                            const std::optional<ChecksWrite>& checks,
                             std::uint64_t revision);
-// Implements Storage::DeletePosePair(): with tables that have no room for pairs
-// that were deleted, keeps none.
+// Implements Storage::DeletePosePair().
 absl::Status RemovePosePair(PostgresConnection& connection, const Fence& fence,
-                            DeletedPairRecord deleted, std::uint64_t revision);
+                            DeletedPairRecord deleted,
+                            const std::optional<ChecksWrite>& checks,
+                            std::uint64_t revision);
 
 // Implements Storage::ConfirmOwned().
 absl::Status ConfirmHead(PostgresConnection& connection, const Fence& fence);

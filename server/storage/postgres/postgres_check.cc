@@ -3,6 +3,7 @@
 #include <memory>
 
 #include "server/storage/postgres/connection.h"
+#include "server/storage/postgres/postgres_checks.h"
 #include "server/storage/postgres/postgres_reader.h"
 #include "server/storage/storage.h"
 
@@ -58,6 +59,18 @@ constexpr LeftOver kLeftOvers[] = {
      "snapshots or parts of snapshots belong to no vehicle"},
 };
 
+// Those of tables that have room for checks.
+constexpr LeftOver kChecksLeftOver = {
+    {"checks_left_over",
+     "SELECT count(*) FROM checks c WHERE NOT EXISTS (SELECT 1 FROM vehicles v "
+     "WHERE v.key = c.vehicle_key)"},
+    "checks belong to no vehicle"};
+constexpr LeftOver kEventsBeyond = {
+    {"events_beyond",
+     "SELECT count(*) FROM events e JOIN heads h ON h.key = e.vehicle_key "
+     "WHERE e.number > h.last_event"},
+    "events are beyond the last one that their vehicle's head tells of"};
+
 absl::Status CountLeftOver(PostgresConnection& connection,
                            const LeftOver& left_over, StoreReport* report) {
   const auto count = connection.Run(left_over.count);
@@ -97,6 +110,13 @@ absl::StatusOr<StoreReport> CheckDatabase(const std::string& conninfo) {
     }
   }
   for (const LeftOver& left_over : kLeftOvers) {
+    absl::Status status = CountLeftOver(**connection, left_over, &report);
+    if (!status.ok()) return status;
+  }
+  const absl::StatusOr<bool> keeps = KeepsChecks(**connection);
+  if (!keeps.ok()) return keeps.status();
+  for (const LeftOver& left_over : {kChecksLeftOver, kEventsBeyond}) {
+    if (!*keeps) break;
     absl::Status status = CountLeftOver(**connection, left_over, &report);
     if (!status.ok()) return status;
   }

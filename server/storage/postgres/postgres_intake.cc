@@ -9,7 +9,7 @@
 #include "server/base/status.h"
 #include "server/storage/postgres/connection.h"
 #include "server/storage/postgres/migrations.h"
-#include "server/storage/postgres/postgres_reads.h"
+#include "server/storage/postgres/postgres_checks.h"
 #include "server/storage/record_check.h"
 #include "server/storage/record_checksum.h"
 
@@ -56,6 +56,15 @@ constexpr Statement kTakeDeletedPair = {
     "checksum, payload) VALUES ($1::int8, $2::int8, $3::int8, $4::text, "
     "$5::int8, $6::int8, $7::int8, $8::int8, $9::int8, $10::int8, "
     "$11::bytea)"};
+constexpr Statement kTakeChecksHead = {
+    "take_checks_head",
+    "UPDATE heads SET checks_stored = ($2::int8 <> 0), checked_sequence = "
+    "$3::int8, last_event = $4::int8 WHERE key = $1::int8"};
+constexpr Statement kTakeCheck = {
+    "take_check",
+    "INSERT INTO checks (vehicle_key, sequence, format, revision, open_count, "
+    "create_time_ns, checksum, payload) VALUES ($1::int8, $2::int8, $3::int8, "
+    "$4::int8, $5::int8, $6::int8, $7::int8, $8::bytea)"};
 constexpr Statement kSetNextKey = {
     "set_next_key",
     "SELECT setval(pg_get_serial_sequence('vehicles', 'key')::regclass, "
@@ -63,7 +72,8 @@ constexpr Statement kSetNextKey = {
 constexpr Statement kIsEmpty = {
     "is_empty",
     "SELECT NOT EXISTS (SELECT 1 FROM vehicles) AND NOT EXISTS (SELECT 1 FROM "
-    "batches) AND NOT EXISTS (SELECT 1 FROM deleted_vehicles)"};
+    "batches) AND NOT EXISTS (SELECT 1 FROM deleted_vehicles) AND NOT EXISTS "
+    "(SELECT 1 FROM events)"};
 
 class PostgresIntake : public StoreIntake {
  public:
@@ -128,6 +138,34 @@ class PostgresIntake : public StoreIntake {
                   .Add(ChecksumOfDeletedPair(kSharedRowFormat, key, deleted))
                   .AddText(deleted.pair.payload))
         .status();
+  }
+
+  absl::Status AddChecks(VehicleKey key, const ChecksHead& head,
+                         const std::vector<CheckRecord>& checks) override {
+    absl::Status status =
+        connection_
+            ->Run(kTakeChecksHead, Parameters()
+                                       .Add(key)
+                                       .Add(std::int64_t{head.stores ? 1 : 0})
+                                       .Add(Signed(head.checked_sequence))
+                                       .Add(Signed(head.last_event)))
+            .status();
+    for (const CheckRecord& check : checks) {
+      if (!status.ok()) break;
+      status = connection_
+                   ->Run(kTakeCheck,
+                         Parameters()
+                             .Add(key)
+                             .Add(Signed(check.sequence))
+                             .Add(kSharedRowFormat)
+                             .Add(Signed(check.revision))
+                             .Add(std::int64_t{check.open_count})
+                             .Add(check.create_time_ns)
+                             .Add(ChecksumOfCheck(kSharedRowFormat, key, check))
+                             .AddText(check.payload))
+                   .status();
+    }
+    return status;
   }
 
   absl::Status Commit() override {
@@ -208,13 +246,13 @@ absl::StatusOr<std::unique_ptr<StoreIntake>> FillDatabase(
   if (!connection.ok()) return connection.status();
   absl::Status status = CheckSchema(**connection);
   if (!status.ok()) return status;
-  const absl::StatusOr<bool> keeps = KeepsDeletedPairs(**connection);
+  const absl::StatusOr<bool> keeps = KeepsChecks(**connection);
   if (!keeps.ok()) return keeps.status();
   if (!*keeps) {
     return Error(absl::StatusCode::kFailedPrecondition, "STORE_UNAVAILABLE",
                  "the tables of " + WithoutSecrets(conninfo) +
-                     " have no room for deleted loop closures and rejections: "
-                     "run `revisitd migrate --store URL` first");
+                     " have no room for stored checks: run `revisitd migrate "
+                     "--store URL` first");
   }
   status =
       (*connection)

@@ -5,6 +5,7 @@
 
 #include "server/storage/postgres/migrations.h"
 #include "server/storage/postgres/ownership.h"
+#include "server/storage/postgres/postgres_checks.h"
 #include "server/storage/postgres/postgres_reads.h"
 #include "server/storage/postgres/postgres_snapshots.h"
 #include "server/storage/read_only_storage.h"
@@ -67,6 +68,33 @@ absl::StatusOr<std::vector<DeletedPairRecord>> PostgresReader::ListDeletedPairs(
       [&](PostgresConnection& connection) {
         return FindDeletedPairs(connection, key);
       });
+}
+
+absl::StatusOr<std::vector<CheckRecord>> PostgresReader::ListChecks(
+    VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,
+    bool open_only, int limit) {
+  return Read<std::vector<CheckRecord>>([&](PostgresConnection& connection) {
+    return FindChecks(connection, key, first_sequence, last_sequence, open_only,
+                      limit);
+  });
+}
+
+absl::StatusOr<std::vector<VehicleRecord>> PostgresReader::ListUnchecked(
+    VehicleKey after_key, int limit) {
+  return Read<std::vector<VehicleRecord>>([&](PostgresConnection& connection) {
+    return FindUnchecked(connection, Self(), after_key, limit);
+  });
+}
+
+absl::StatusOr<std::vector<EventRecord>> PostgresReader::ReadEvents(
+    const EventPosition& after, int limit) {
+  return Read<std::vector<EventRecord>>([&](PostgresConnection& connection) {
+    return FindEvents(connection, after, limit);
+  });
+}
+
+absl::StatusOr<EventPosition> PostgresReader::LastEvent() {
+  return Read<EventPosition>(FindLastEvent);
 }
 
 absl::StatusOr<std::optional<SnapshotRecord>> PostgresReader::GetSnapshot(

@@ -45,6 +45,14 @@ class PostgresReader : public Storage {
       int limit) override;
   absl::StatusOr<std::vector<DeletedPairRecord>> ListDeletedPairs(
       VehicleKey key) override;
+  absl::StatusOr<std::vector<CheckRecord>> ListChecks(
+      VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,
+      bool open_only, int limit) override;
+  absl::StatusOr<std::vector<VehicleRecord>> ListUnchecked(VehicleKey after_key,
+                                                           int limit) override;
+  absl::StatusOr<std::vector<EventRecord>> ReadEvents(
+      const EventPosition& after, int limit) override;
+  absl::StatusOr<EventPosition> LastEvent() override;
   bool KeepsSnapshots() const override { return true; }
   absl::StatusOr<std::optional<SnapshotRecord>> GetSnapshot(
       VehicleKey key) override;
@@ -55,6 +63,10 @@ class PostgresReader : public Storage {
   absl::StatusOr<std::vector<StorageUser>> ListUsers() override;
 
  protected:
+  // The server that reads, among those that share the database; none by
+  // default.
+  virtual Uuid Self() const { return {}; }
+
   explicit PostgresReader(PostgresDatabase database);
 
   const PostgresDatabase& database() const { return database_; }

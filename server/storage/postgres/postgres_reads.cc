@@ -14,16 +14,21 @@ namespace {
 // Batches that one statement reads.
 constexpr int kBatchesAtOnce = 64;
 
-// A vehicle with its head, its last batch and its counts, as of one moment.
-#define REVISIT_SELECT_VEHICLE                                              \
-  "SELECT v.key, v.id, v.format, v.revision, v.checksum, v.payload, "       \
-  "h.durable_sequence, h.revision, "                                        \
-  "(SELECT count(*) FROM loop_closures p WHERE p.vehicle_key = v.key), "    \
-  "(SELECT count(*) FROM rejected_candidates p "                            \
-  "WHERE p.vehicle_key = v.key), "                                          \
-  "b.first_sequence, b.count, b.format, b.revision, b.checksum, b.payload " \
-  "FROM vehicles v LEFT JOIN heads h ON h.key = v.key "                     \
-  "LEFT JOIN LATERAL (SELECT * FROM batches WHERE vehicle_key = v.key "     \
+// A vehicle with its head, its last batch and its counts, as of one moment. The
+// columns of heads about checks are read in a way that tables of version 5,
+// which lack them, allow.
+#define REVISIT_SELECT_VEHICLE                                            \
+  "SELECT v.key, v.id, v.format, v.revision, v.checksum, v.payload, "     \
+  "h.durable_sequence, h.revision, "                                      \
+  "(SELECT count(*) FROM loop_closures p WHERE p.vehicle_key = v.key), "  \
+  "(SELECT count(*) FROM rejected_candidates p "                          \
+  "WHERE p.vehicle_key = v.key), "                                        \
+  "b.first_sequence, b.count, b.format, b.revision, b.checksum, "         \
+  "b.payload, coalesce((to_jsonb(h) ->> 'checks_stored')::bool, false), " \
+  "coalesce((to_jsonb(h) ->> 'checked_sequence')::int8, 0), "             \
+  "coalesce((to_jsonb(h) ->> 'last_event')::int8, 0) "                    \
+  "FROM vehicles v LEFT JOIN heads h ON h.key = v.key "                   \
+  "LEFT JOIN LATERAL (SELECT * FROM batches WHERE vehicle_key = v.key "   \
   "ORDER BY first_sequence DESC LIMIT 1) b ON true "
 constexpr Statement kFindVehicle = {
     "find_vehicle", REVISIT_SELECT_VEHICLE "WHERE v.id = $1::text"};
@@ -70,9 +75,6 @@ constexpr Statement kListRejections = {
     "list_rejected_candidates", REVISIT_LIST_PAIRS("rejected_candidates")};
 #undef REVISIT_LIST_PAIRS
 
-constexpr Statement kKeepsDeletedPairs = {
-    "keeps_deleted_pairs",
-    "SELECT to_regclass('deleted_pose_pairs') IS NOT NULL"};
 constexpr Statement kListDeletedPairs = {
     "list_deleted_pairs",
     "SELECT number, kind, id, format, query_sequence, matched_sequence, "
@@ -113,6 +115,8 @@ VehicleRecord VehicleAt(const PostgresRows& rows, int row) {
   VehicleRecord record = VehicleRowAt(rows, row);
   record.loop_closure_count = rows.Integer(row, 8);
   record.rejected_candidate_count = rows.Integer(row, 9);
+  record.checks = {rows.Integer(row, 16) != 0, Unsigned(rows.Integer(row, 17)),
+                   Unsigned(rows.Integer(row, 18))};
   const std::uint64_t claimed = Unsigned(rows.Integer(row, 6));
   record.durable_sequence = claimed;
   if (record.damage.ok() && rows.IsNull(row, 6)) {
@@ -271,21 +275,12 @@ absl::StatusOr<std::vector<PosePairRecord>> FindPosePairs(
   return pairs;
 }
 
-absl::StatusOr<bool> KeepsDeletedPairs(PostgresConnection& connection) {
-  const auto rows = connection.Run(kKeepsDeletedPairs);
-  if (!rows.ok()) return rows.status();
-  return rows->Integer(0, 0) != 0;
-}
-
 absl::StatusOr<std::vector<DeletedPairRecord>> FindDeletedPairs(
     PostgresConnection& connection, VehicleKey key) {
   const auto vehicle = connection.Run(kVehicleId, Parameters().Add(key));
   if (!vehicle.ok()) return vehicle.status();
   if (vehicle->size() == 0) return UnknownVehicle(key);
   std::vector<DeletedPairRecord> all;
-  const absl::StatusOr<bool> keeps = KeepsDeletedPairs(connection);
-  if (!keeps.ok()) return keeps.status();
-  if (!*keeps) return all;
   const auto rows = connection.Run(kListDeletedPairs, Parameters().Add(key));
   if (!rows.ok()) return rows.status();
   const std::string vehicle_id = Printable(vehicle->Bytes(0, 0));

@@ -1,4 +1,5 @@
-// The statements that read records, which needs no claim. The tables are those
+// The statements that read records, which needs no claim; those of checks and
+// events are in postgres_checks.h. The tables are those
 // of migrations.h; errors are those of the calls of Storage (storage.h) that
 // use these functions, and of connection.h.
 #ifndef REVISIT_SERVER_STORAGE_POSTGRES_POSTGRES_READS_H_
@@ -31,10 +32,7 @@ absl::Status VisitBatches(PostgresConnection& connection, VehicleKey key,
 absl::StatusOr<std::vector<PosePairRecord>> FindPosePairs(
     PostgresConnection& connection, VehicleKey key, PairKind kind,
     const std::string& after_id, int limit);
-// Whether pairs that are deleted are kept: tables of the version before the
-// last have no room for them.
-absl::StatusOr<bool> KeepsDeletedPairs(PostgresConnection& connection);
-// Implements Storage::ListDeletedPairs(): none where none are kept.
+// Implements Storage::ListDeletedPairs().
 absl::StatusOr<std::vector<DeletedPairRecord>> FindDeletedPairs(
     PostgresConnection& connection, VehicleKey key);
 

@@ -8,6 +8,7 @@
 #include "server/base/status.h"
 #include "server/storage/postgres/postgres_appends.h"
 #include "server/storage/postgres/postgres_changes.h"
+#include "server/storage/postgres/postgres_checks.h"
 #include "server/storage/postgres/postgres_reader.h"
 #include "server/storage/postgres/postgres_reads.h"
 #include "server/storage/postgres/postgres_snapshots.h"
@@ -88,12 +89,14 @@ class PostgresStorage : public PostgresReader {
         std::move(done));
   }
 
-  void DeleteVehicle(VehicleKey key, Done done) override {
+  void DeleteVehicle(VehicleKey key, EventRecord farewell, Done done) override {
     PostgresWriter& writer = WriterOf(key);
+    const std::size_t bytes = farewell.payload.size();
     writer.Submit(
-        key, 0,
-        [this, &writer](PostgresConnection& connection, const Fence& fence) {
-          absl::Status status = RemoveVehicle(connection, fence);
+        key, bytes,
+        [this, &writer, farewell = std::move(farewell)](
+            PostgresConnection& connection, const Fence& fence) {
+          absl::Status status = RemoveVehicle(connection, fence, farewell);
           if (status.ok()) {
             ownership_->Forget(fence.key, fence.claim.get());
             writer.PurgeSoon();
@@ -151,23 +154,52 @@ class PostgresStorage : public PostgresReader {
   }
 
   void AddPosePair(VehicleKey key, PairKind kind, PosePairRecord pair,
-                   std::uint64_t revision, Done done) override {
+                   std::optional<ChecksWrite> checks, std::uint64_t revision,
+                   Done done) override {
     WriterOf(key).Submit(
         key, 0,
-        [kind, pair = std::move(pair), revision](PostgresConnection& connection,
-                                                 const Fence& fence) {
-          return InsertPosePair(connection, fence, kind, pair, revision);
+        [kind, pair = std::move(pair), checks = std::move(checks), revision](
+            PostgresConnection& connection, const Fence& fence) {
+          return InsertPosePair(connection, fence, kind, pair, checks,
+                                revision);
         },
         std::move(done));
   }
 
   void DeletePosePair(VehicleKey key, DeletedPairRecord deleted,
-                      std::uint64_t revision, Done done) override {
+                      std::optional<ChecksWrite> checks, std::uint64_t revision,
+                      Done done) override {
     WriterOf(key).Submit(
         key, 0,
-        [deleted = std::move(deleted), revision](PostgresConnection& connection,
-                                                 const Fence& fence) {
-          return RemovePosePair(connection, fence, deleted, revision);
+        [deleted = std::move(deleted), checks = std::move(checks), revision](
+            PostgresConnection& connection, const Fence& fence) {
+          return RemovePosePair(connection, fence, deleted, checks, revision);
+        },
+        std::move(done));
+  }
+
+  void PutChecks(VehicleKey key, ChecksWrite checks, Done done) override {
+    std::size_t bytes = 0;
+    for (const CheckRecord& check : checks.checks) {
+      bytes += check.payload.size();
+    }
+    for (const EventRecord& event : checks.events) {
+      bytes += event.payload.size();
+    }
+    WriterOf(key).Submit(
+        key, bytes,
+        [checks = std::move(checks)](PostgresConnection& connection,
+                                     const Fence& fence) {
+          return StoreChecks(connection, fence, checks);
+        },
+        std::move(done));
+  }
+
+  void DropEvents(std::int64_t before_ns, int most, Done done) override {
+    writers_.front()->Submit(
+        0, 0,
+        [before_ns, most](PostgresConnection& connection, const Fence&) {
+          return DropOldEvents(connection, before_ns, most);
         },
         std::move(done));
   }
@@ -301,6 +333,9 @@ class PostgresStorage : public PostgresReader {
   std::optional<SharingState> GetSharing() const override {
     return ownership_->GetSharing();
   }
+
+ protected:
+  Uuid Self() const override { return ownership_->Self(); }
 
  private:
   // All writes of a vehicle go the same way.

@@ -6,6 +6,7 @@
 #include "server/storage/free_space.h"
 #include "server/storage/read_only_storage.h"
 #include "server/storage/sqlite/batch_rows.h"
+#include "server/storage/sqlite/check_rows.h"
 #include "server/storage/sqlite/pair_rows.h"
 #include "server/storage/sqlite/snapshot_rows.h"
 #include "server/storage/sqlite/store_files.h"
@@ -54,6 +55,34 @@ absl::StatusOr<std::vector<DeletedPairRecord>> SqliteReader::ListDeletedPairs(
   return Read<std::vector<DeletedPairRecord>>([&](SqliteDatabase& database) {
     return FindDeletedPairs(database, key);
   });
+}
+
+absl::StatusOr<std::vector<CheckRecord>> SqliteReader::ListChecks(
+    VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,
+    bool open_only, int limit) {
+  return Read<std::vector<CheckRecord>>([&](SqliteDatabase& database) {
+    return FindChecks(database, key, first_sequence, last_sequence, open_only,
+                      limit);
+  });
+}
+
+absl::StatusOr<std::vector<VehicleRecord>> SqliteReader::ListUnchecked(
+    VehicleKey after_key, int limit) {
+  return Read<std::vector<VehicleRecord>>([&](SqliteDatabase& database) {
+    return FindUnchecked(database, after_key, limit);
+  });
+}
+
+absl::StatusOr<std::vector<EventRecord>> SqliteReader::ReadEvents(
+    const EventPosition& after, int limit) {
+  return Read<std::vector<EventRecord>>([&](SqliteDatabase& database) {
+    return FindEvents(database, after, limit);
+  });
+}
+
+absl::StatusOr<EventPosition> SqliteReader::LastEvent() {
+  return Read<EventPosition>(
+      [&](SqliteDatabase& database) { return FindLastEvent(database); });
 }
 
 absl::StatusOr<std::optional<SnapshotRecord>> SqliteReader::GetSnapshot(

@@ -38,6 +38,14 @@ class SqliteReader : public Storage {
       int limit) override;
   absl::StatusOr<std::vector<DeletedPairRecord>> ListDeletedPairs(
       VehicleKey key) override;
+  absl::StatusOr<std::vector<CheckRecord>> ListChecks(
+      VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,
+      bool open_only, int limit) override;
+  absl::StatusOr<std::vector<VehicleRecord>> ListUnchecked(VehicleKey after_key,
+                                                           int limit) override;
+  absl::StatusOr<std::vector<EventRecord>> ReadEvents(
+      const EventPosition& after, int limit) override;
+  absl::StatusOr<EventPosition> LastEvent() override;
   bool KeepsSnapshots() const override { return true; }
   absl::StatusOr<std::optional<SnapshotRecord>> GetSnapshot(
       VehicleKey key) override;

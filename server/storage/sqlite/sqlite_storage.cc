@@ -10,6 +10,7 @@
 #include "server/base/status.h"
 #include "server/storage/free_space.h"
 #include "server/storage/sqlite/batch_rows.h"
+#include "server/storage/sqlite/check_rows.h"
 #include "server/storage/sqlite/pair_rows.h"
 #include "server/storage/sqlite/snapshot_rows.h"
 #include "server/storage/sqlite/sqlite_reader.h"
@@ -73,11 +74,11 @@ class SqliteStorage : public SqliteReader {
         std::move(done));
   }
 
-  void DeleteVehicle(VehicleKey key, Done done) override {
+  void DeleteVehicle(VehicleKey key, EventRecord farewell, Done done) override {
     Submit(
-        0,
-        [this, key](SqliteDatabase& database) {
-          const absl::Status status = RemoveVehicle(database, key);
+        farewell.payload.size(),
+        [this, key, farewell = std::move(farewell)](SqliteDatabase& database) {
+          const absl::Status status = RemoveVehicle(database, key, farewell);
           if (status.ok()) writer_->PurgeSoon();
           writer_->ForgetNextSequence(key);
           return status;
@@ -119,25 +120,58 @@ class SqliteStorage : public SqliteReader {
   }
 
   void AddPosePair(VehicleKey key, PairKind kind, PosePairRecord pair,
-                   std::uint64_t revision, Done done) override {
+                   std::optional<ChecksWrite> checks, std::uint64_t revision,
+                   Done done) override {
     Submit(
         0,
-        [key, kind, pair = std::move(pair),
+        [key, kind, pair = std::move(pair), checks = std::move(checks),
          revision](SqliteDatabase& database) {
-          return InsertPosePair(database, key, kind, pair, revision);
+          absl::Status status =
+              InsertPosePair(database, key, kind, pair, revision);
+          if (!status.ok() || !checks) return status;
+          return StoreChecks(database, key, *checks);
         },
         std::move(done));
   }
 
   void DeletePosePair(VehicleKey key, DeletedPairRecord deleted,
-                      std::uint64_t revision, Done done) override {
+                      std::optional<ChecksWrite> checks, std::uint64_t revision,
+                      Done done) override {
     Submit(
         0,
-        [key, deleted = std::move(deleted),
+        [key, deleted = std::move(deleted), checks = std::move(checks),
          revision](SqliteDatabase& database) {
-          return RemovePosePair(database, key, deleted, revision);
+          absl::Status status =
+              RemovePosePair(database, key, deleted, revision);
+          if (!status.ok() || !checks) return status;
+          return StoreChecks(database, key, *checks);
         },
         std::move(done));
+  }
+
+  void PutChecks(VehicleKey key, ChecksWrite checks, Done done) override {
+    std::size_t bytes = 0;
+    for (const CheckRecord& check : checks.checks) {
+      bytes += check.payload.size();
+    }
+    for (const EventRecord& event : checks.events) {
+      bytes += event.payload.size();
+    }
+    Submit(
+        bytes,
+        [key, checks = std::move(checks)](SqliteDatabase& database) {
+          return StoreChecks(database, key, checks);
+        },
+        std::move(done));
+  }
+
+  void DropEvents(std::int64_t before_ns, int most, Done done) override {
+    Submit(
+        0,
+        [before_ns, most](SqliteDatabase& database) {
+          return DropOldEvents(database, before_ns, most);
+        },
+        std::move(done), PendingWrite::Need::kLittle);
   }
 
   void DropDamaged(VehicleKey key, std::uint64_t last_sequence,

@@ -43,6 +43,15 @@
 //                        a few at a time; since format 5
 //   deleted_pose_pairs   a row per loop closure or rejected candidate that was
 //                        deleted, the last ones of each vehicle; since format 6
+//   check_heads          a row per vehicle that has ever stored checks; since
+//                        format 7
+//   checks               a row per check that found candidates; since format 7
+//   events               a row per change of a candidate, of all vehicles, in
+//                        the order in which they were written; those of
+//                        vehicles that were deleted have no payload any more,
+//                        but for the last one; since format 7
+//   dropped_events       at most one row: the last event that was dropped, with
+//                        all before it; since format 7
 //   deleted_vehicles     keys whose batches are still to be removed, a few at
 //                        a time
 //   store                one row: which store this is, and the number of its

@@ -117,6 +117,11 @@ class Checker {
                    "snapshot_parts WHERE snapshot_key NOT IN (SELECT key FROM "
                    "snapshots UNION ALL SELECT key FROM deleted_snapshots))",
                    "snapshots or parts of snapshots belong to no vehicle"},
+             Query{"SELECT (SELECT count(*) FROM check_heads WHERE vehicle_key "
+                   "NOT IN (SELECT key FROM vehicles)) + (SELECT count(*) FROM "
+                   "checks WHERE vehicle_key NOT IN (SELECT key FROM "
+                   "vehicles))",
+                   "checks or heads of checks belong to no vehicle"},
              Query{"SELECT count(*) FROM deleted_vehicles WHERE key IN (SELECT "
                    "key FROM vehicles)",
                    "vehicles are there although they were deleted"},

@@ -127,12 +127,54 @@ CREATE TABLE deleted_pose_pairs (
 ) WITHOUT ROWID;
 )sql";
 
+// The tables that format 7 has beyond format 6. Rows of `checks` have a column
+// more than those of batches, so that what is read of a damaged log can be told
+// apart (write_ahead_log.cc).
+constexpr char kAddedBy7[] = R"sql(
+CREATE TABLE check_heads (
+  vehicle_key INTEGER PRIMARY KEY,
+  format INTEGER NOT NULL,
+  stores INTEGER NOT NULL,
+  checked_sequence INTEGER NOT NULL,
+  last_event INTEGER NOT NULL,
+  checksum INTEGER NOT NULL
+);
+CREATE TABLE checks (
+  vehicle_key INTEGER NOT NULL,
+  sequence INTEGER NOT NULL,
+  format INTEGER NOT NULL,
+  revision INTEGER NOT NULL,
+  open_count INTEGER NOT NULL,
+  create_time_ns INTEGER NOT NULL,
+  checksum INTEGER NOT NULL,
+  payload BLOB NOT NULL,
+  PRIMARY KEY (vehicle_key, sequence)
+);
+CREATE TABLE events (
+  id INTEGER PRIMARY KEY AUTOINCREMENT,
+  vehicle_key INTEGER NOT NULL,
+  number INTEGER NOT NULL,
+  format INTEGER NOT NULL,
+  time_ns INTEGER NOT NULL,
+  checksum INTEGER NOT NULL,
+  payload BLOB NOT NULL,
+  UNIQUE (vehicle_key, number)
+);
+CREATE TABLE dropped_events (
+  key INTEGER PRIMARY KEY,
+  id INTEGER NOT NULL,
+  vehicle_key INTEGER NOT NULL,
+  number INTEGER NOT NULL,
+  checksum INTEGER NOT NULL
+);
+)sql";
+
 // Lets pages of deleted rows be given back to the file system. Works only for a
 // file without tables.
 constexpr char kVacuum[] = "PRAGMA auto_vacuum = INCREMENTAL";
 
 std::string AllTables() {
-  return std::string(kTablesOf4) + kAddedBy5 + kAddedBy6;
+  return std::string(kTablesOf4) + kAddedBy5 + kAddedBy6 + kAddedBy7;
 }
 
 }  // namespace
@@ -187,7 +229,8 @@ absl::Status BringToStoreFormat(SqliteDatabase& database,
   // which rolls back.
   std::string sql = "BEGIN IMMEDIATE;";
   if (format->version < 5) sql += kAddedBy5;
-  sql += kAddedBy6;
+  if (format->version < 6) sql += kAddedBy6;
+  sql += kAddedBy7;
   sql += "PRAGMA user_version = " + std::to_string(kStoreFormat);
   absl::Status status = database.Execute(sql.c_str());
   if (!status.ok()) return status;

@@ -9,6 +9,7 @@
 #include "server/base/status.h"
 #include "server/storage/records.h"
 #include "server/storage/sqlite/batch_rows.h"
+#include "server/storage/sqlite/check_rows.h"
 #include "server/storage/sqlite/pair_rows.h"
 #include "server/storage/sqlite/sqlite_database.h"
 #include "server/storage/sqlite/store_check.h"
@@ -68,6 +69,11 @@ class FileIntake : public StoreIntake {
   absl::Status AddDeletedPair(VehicleKey key,
                               const DeletedPairRecord& deleted) override {
     return InsertDeletedPair(*database_, key, deleted);
+  }
+
+  absl::Status AddChecks(VehicleKey key, const ChecksHead& head,
+                         const std::vector<CheckRecord>& checks) override {
+    return ImportChecks(*database_, key, head, checks);
   }
 
   absl::Status Commit() override {

@@ -6,6 +6,7 @@
 #include "server/storage/record_check.h"
 #include "server/storage/record_checksum.h"
 #include "server/storage/sqlite/batch_rows.h"
+#include "server/storage/sqlite/check_rows.h"
 #include "server/storage/sqlite/pair_rows.h"
 #include "server/storage/sqlite/snapshot_rows.h"
 
@@ -47,6 +48,15 @@ absl::Status CompleteVehicle(SqliteDatabase& database, VehicleRecord* record) {
     (kind == PairKind::kLoopClosure ? record->loop_closure_count
                                     : record->rejected_candidate_count) =
         *count;
+  }
+  const absl::StatusOr<ChecksHead> checks =
+      FindChecksHead(database, record->key);
+  if (checks.ok()) {
+    record->checks = *checks;
+  } else if (!absl::IsDataLoss(checks.status())) {
+    return checks.status();
+  } else if (record->damage.ok()) {
+    record->damage = checks.status();
   }
   return absl::OkStatus();
 }
@@ -216,10 +226,13 @@ absl::Status DropDamagedRows(SqliteDatabase& database, VehicleKey key,
   if (*end != last_sequence) {
     return NoBatchEndsAt(last_sequence);
   }
+  status = DropDamagedChecks(database, key, last_sequence);
+  if (!status.ok()) return status;
   return RemoveDamagedPosePairs(database, key, last_sequence);
 }
 
-absl::Status RemoveVehicle(SqliteDatabase& database, VehicleKey key) {
+absl::Status RemoveVehicle(SqliteDatabase& database, VehicleKey key,
+                           const EventRecord& farewell) {
   absl::Status status = database.Prepare("DELETE FROM vehicles WHERE key = ?1")
                             .Bind(1, key)
                             .Run();
@@ -230,6 +243,8 @@ absl::Status RemoveVehicle(SqliteDatabase& database, VehicleKey key) {
   status = ForgetSnapshot(database, key);
   if (!status.ok()) return status;
   status = RemovePosePairs(database, key);
+  if (!status.ok()) return status;
+  status = RemoveChecks(database, key, farewell);
   if (!status.ok()) return status;
   return database.Prepare("INSERT INTO deleted_vehicles (key) VALUES (?1)")
       .Bind(1, key)

@@ -52,8 +52,9 @@ absl::Status DropDamagedRows(SqliteDatabase& database, VehicleKey key,
                              const std::string& payload,
                              std::uint64_t revision);
 // Removes a vehicle. Its batches stay, out of reach, until PurgeSome() has
-// removed them.
-absl::Status RemoveVehicle(SqliteDatabase& database, VehicleKey key);
+// removed them. `farewell` is its last event (RemoveChecks()).
+absl::Status RemoveVehicle(SqliteDatabase& database, VehicleKey key,
+                           const EventRecord& farewell);
 
 }  // namespace revisit::server
 

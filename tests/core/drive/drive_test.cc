@@ -130,6 +130,59 @@ TEST(DriveTest, ChecksFollowChangedSettings) {
   EXPECT_EQ(drive.revision(), 3u);
 }
 
+TEST(DriveTest, FindsTheChecksThatFellDueAtAnyTime) {
+  std::mt19937_64 random = SeededRandom();
+  for (int round = 0; round < 20; ++round) {
+    DriveSettings settings;
+    settings.check_interval_meters = UniformInt(random, 2, 90);
+    Drive drive(settings);
+    const std::vector<PoseSample> samples = Laps(UniformInt(random, 100, 1200));
+    const std::vector<NodeIndex> due = drive.Append(samples, 1).checks_due;
+    std::vector<NodeIndex> found;
+    std::uint64_t after = 0;
+    while (const std::optional<DueCheck> next = drive.NextCheck(after)) {
+      EXPECT_GT(next->sequence, after);
+      EXPECT_LE(next->sequence, drive.last_sequence());
+      EXPECT_EQ(drive.ChecksBehind(after),
+                static_cast<std::int64_t>(due.size() - found.size()));
+      found.push_back(next->node);
+      // Every pose from here to the check leads to the same one.
+      const auto between =
+          after + static_cast<std::uint64_t>(UniformInt(
+                      random, 0, static_cast<int>(next->sequence - after - 1)));
+      EXPECT_EQ(drive.NextCheck(between)->sequence, next->sequence);
+      after = next->sequence;
+    }
+    EXPECT_EQ(found, due);
+    EXPECT_EQ(drive.ChecksBehind(after), 0);
+  }
+}
+
+TEST(DriveTest, FindsOneCheckAPoseWherePosesLieFarApart) {
+  DriveSettings settings;
+  settings.check_interval_meters = 10.0;
+  settings.max_step_meters = 100.0;
+  Drive drive(settings);
+  std::vector<PoseSample> samples;
+  for (std::uint64_t i = 1; i <= 20; ++i) {
+    PoseSample& sample = samples.emplace_back(Laps(1.0).front());
+    sample.sequence = i;
+    sample.pose.x = 35.0 * static_cast<double>(i);
+    sample.pose.y = 0.0;
+  }
+  drive.Append(samples, 1);
+  std::uint64_t after = 0;
+  // 300 m are two sequence lengths, which the tenth pose is the first to pass.
+  for (std::uint64_t sequence = 10; sequence <= 20; ++sequence) {
+    const std::optional<DueCheck> next = drive.NextCheck(after);
+    ASSERT_TRUE(next.has_value());
+    EXPECT_EQ(next->sequence, sequence);
+    EXPECT_EQ(next->node, *drive.graph().NodeAtOrBefore(sequence));
+    after = next->sequence;
+  }
+  EXPECT_EQ(drive.NextCheck(after), std::nullopt);
+}
+
 TEST(DriveTest, SaysWhyAnAnswerIsEmpty) {
   const SearchOptions options;
   const Drive nothing({});

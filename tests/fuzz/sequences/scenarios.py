@@ -214,7 +214,11 @@ def _script(rng, world, number, vehicle, identity):
     end = rng.random()
     if end < 0.8 or not method.client_streaming:
         steps.append(("half-close", number, None))
-        if rng.random() < 0.4:
+        if method.name == "WatchCandidates":
+            # Ends by itself only where it is refused.
+            steps.append(("await", number, 1))
+            steps.append(("reset", number, rng.choice(RESET_CODES)))
+        elif rng.random() < 0.4:
             steps.append(("await", number, None))
     if end > 0.9:
         steps.insert(rng.randrange(1, len(steps) + 1),

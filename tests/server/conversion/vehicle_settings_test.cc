@@ -44,6 +44,8 @@ TEST(SettingsConversionTest, LeftOutMeansDefault) {
     max_inflation: 10
     use_belief: true
     fix_correlation_meters: 300
+    checks: STORED_CHECKS_ON_REQUEST
+    keep_probability: 0.05
   )pb");
   // Core defines these defaults; the integration tests check their numbers.
   const core::SearchOptions defaults;

@@ -22,6 +22,7 @@
 #include "server/conversion/vehicle_settings.h"
 #include "server/fields/pose_fields.h"
 #include "server/records/batch_records.h"
+#include "server/records/check_records.h"
 #include "server/records/pair_content.h"
 #include "server/records/proto_record_codec.h"
 #include "tests/server/conversion/conversion_testing.h"
@@ -81,6 +82,8 @@ VehicleConfig EverySetting() {
   search.shape.correlation_meters = 25.0;
   search.use_belief = false;
   search.fix_correlation_meters = 40.0;
+  config.checks = ChecksKept::kStored;
+  config.keep_probability = 0.25;
   return config;
 }
 
@@ -91,6 +94,7 @@ VehicleConfig OtherSettings() {
   config.origin.reset();
   config.create_time_ns = 1700000000000000001;
   config.data_loss = false;
+  config.checks = ChecksKept::kOnRequest;
   config.drive.state_space = core::StateSpace::kPlanar;
   config.drive.apply_inflation = false;
   core::SearchOptions& search = config.drive.search;
@@ -101,8 +105,16 @@ VehicleConfig OtherSettings() {
   return config;
 }
 
+// As it is read where the record has no stored checks.
+VehicleConfig BeforeChecks(VehicleConfig config) {
+  config.checks = VehicleConfig().checks;
+  config.keep_probability = VehicleConfig().keep_probability;
+  return config;
+}
+
 // As it is read where the record has neither beliefs nor correlated fixes.
 VehicleConfig BeforeBeliefs(VehicleConfig config) {
+  config = BeforeChecks(std::move(config));
   const core::SearchOptions defaults;
   config.drive.search.use_belief = defaults.use_belief;
   config.drive.search.fix_correlation_meters = defaults.fix_correlation_meters;
@@ -145,6 +157,35 @@ struct GoldenVehicle {
 
 std::vector<GoldenVehicle> GoldenVehicles() {
   return {{EverySetting(),
+           "12c30108021002180220022a1b090000000000c040c0110000000000e8624019"
+           "0000000000001c40310000000000000840390000000000c05840410000000000"
+           "00284049000000000000494051000000000000e03f5a0911000000000000d03f"
+           "6100000000000000006811700279000000000000e83f81010000000000005440"
+           "8a011209000000000000e03f11b81e85eb51b89e3f9101000000000000394098"
+           "0101a1010000000000001040a80100b1010000000000004440c00102c9010000"
+           "00000000d03f1802221108adfaa7b3fbffffffff0110ebf9fba1035a24306630"
+           "65306430632d306230612d343930382d383730362d3035303430333032303130"
+           "30"},
+          {OtherSettings(),
+           "12a6010801100318012001310000000000000840390000000000c05840410000"
+           "00000000284049000000000000494051000000000000e03f5a09110000000000"
+           "00d03f6100000000000000006811700179000000000000e83f81010000000000"
+           "0054408a011209000000000000e03f11b81e85eb51b89e3f9101000000000000"
+           "3940980100a1010000000000001040a80101b1010000000000004440c00101c9"
+           "01000000000000d03f180122080880e2cfaa0610015a2430663065306430632d"
+           "306230612d343930382d383730362d303530343033303230313030"},
+          {Labelled(OtherSettings()),
+           "12a6010801100318012001310000000000000840390000000000c05840410000"
+           "00000000284049000000000000494051000000000000e03f5a09110000000000"
+           "00d03f6100000000000000006811700179000000000000e83f81010000000000"
+           "0054408a011209000000000000e03f11b81e85eb51b89e3f9101000000000000"
+           "3940980100a1010000000000001040a80101b1010000000000004440c00101c9"
+           "01000000000000d03f180122080880e2cfaa0610015a2430663065306430632d"
+           "306230612d343930382d383730362d3035303430333032303130306207547275"
+           "636b20376a0e0a05666c65657412056e6f7274686a130a0973657373696f6e2e"
+           "611206312d32303638"},
+          // From before checks were stored.
+          {BeforeChecks(EverySetting()),
            "12b60108021002180220022a1b090000000000c040c0110000000000e8624019"
            "0000000000001c40310000000000000840390000000000c05840410000000000"
            "00284049000000000000494051000000000000e03f5a0911000000000000d03f"
@@ -152,16 +193,18 @@ std::vector<GoldenVehicle> GoldenVehicles() {
            "8a011209000000000000e03f11b81e85eb51b89e3f9101000000000000394098"
            "0101a1010000000000001040a80100b10100000000000044401802221108adfa"
            "a7b3fbffffffff0110ebf9fba1035a2430663065306430632d306230612d3439"
-           "30382d383730362d303530343033303230313030"},
-          {OtherSettings(),
+           "30382d383730362d303530343033303230313030",
+           /*is_written=*/false},
+          {BeforeChecks(OtherSettings()),
            "1299010801100318012001310000000000000840390000000000c05840410000"
            "00000000284049000000000000494051000000000000e03f5a09110000000000"
            "00d03f6100000000000000006811700179000000000000e83f81010000000000"
            "0054408a011209000000000000e03f11b81e85eb51b89e3f9101000000000000"
            "3940980100a1010000000000001040a80101b101000000000000444018012208"
            "0880e2cfaa0610015a2430663065306430632d306230612d343930382d383730"
-           "362d303530343033303230313030"},
-          {Labelled(OtherSettings()),
+           "362d303530343033303230313030",
+           /*is_written=*/false},
+          {BeforeChecks(Labelled(OtherSettings())),
            "1299010801100318012001310000000000000840390000000000c05840410000"
            "00000000284049000000000000494051000000000000e03f5a09110000000000"
            "00d03f6100000000000000006811700179000000000000e83f81010000000000"
@@ -169,7 +212,8 @@ std::vector<GoldenVehicle> GoldenVehicles() {
            "3940980100a1010000000000001040a80101b101000000000000444018012208"
            "0880e2cfaa0610015a2430663065306430632d306230612d343930382d383730"
            "362d3035303430333032303130306207547275636b20376a0e0a05666c656574"
-           "12056e6f7274686a130a0973657373696f6e2e611206312d32303638"},
+           "12056e6f7274686a130a0973657373696f6e2e611206312d32303638",
+           /*is_written=*/false},
           // From before there were beliefs.
           {BeforeBeliefs(EverySetting()),
            "12a90108021002180220022a1b090000000000c040c0110000000000e8624019"
@@ -345,6 +389,85 @@ TEST(GoldenRecordTest, VehiclesAreReadAsEver) {
     EXPECT_EQ(config->data_loss, golden.config.data_loss);
     EXPECT_EQ(config->display_name, golden.config.display_name);
     EXPECT_EQ(config->labels, golden.config.labels);
+  }
+}
+
+// A check and events with every field.
+StoredCheck GoldenCheck() {
+  StoredCheck check;
+  check.vehicle_uid = "uid";
+  check.found = "found";
+  check.candidates.push_back({1, 2, 3, CandidateState::kConfirmed,
+                              CandidateCause::kLoopClosure, "token:bob",
+                              -1234567890123456789, "link", 4});
+  check.candidates.push_back({2, 3, 4, CandidateState::kWithdrawn,
+                              CandidateCause::kRetention, "", 5, "", 6});
+  return check;
+}
+
+constexpr char kGoldenCheck[] =
+    "0a05666f756e641230080110021803200228023209746f6b656e3a626f623a11"
+    "08adfaa7b3fbffffffff0110ebf9fba10342046c696e6b480412100802100318"
+    "04200428053a02100548061a03756964";
+constexpr char kGoldenEvent[] =
+    "0a05747275636b12037569641a4008071230080110021803200228023209746f"
+    "6b656e3a626f623a1108adfaa7b3fbffffffff0110ebf9fba10342046c696e6b"
+    "48041a0865766964656e63652008";
+constexpr char kGoldenFarewell[] = "0a05747275636b12037569642200";
+
+TEST(GoldenRecordTest, ChecksAndEventsAreWrittenAsEver) {
+  EXPECT_EQ(Hex(EncodeCheckRecord(GoldenCheck())), kGoldenCheck);
+  StoredEvent event{"truck", "uid", GoldenCheck().candidates[0],
+                    7,       8,     "evidence"};
+  EXPECT_EQ(Hex(EncodeEventRecord(event)), kGoldenEvent);
+  event.candidate.reset();
+  EXPECT_EQ(Hex(EncodeEventRecord(event)), kGoldenFarewell);
+}
+
+TEST(GoldenRecordTest, ChecksAndEventsAreReadAsEver) {
+  const auto check = DecodeCheckRecord(Bytes(kGoldenCheck));
+  ASSERT_THAT(check, IsOk());
+  EXPECT_EQ(check->vehicle_uid, "uid");
+  EXPECT_EQ(check->found, "found");
+  ASSERT_EQ(check->candidates.size(), 2u);
+  const StoredCandidate& candidate = check->candidates[0];
+  EXPECT_EQ(candidate.number, 1u);
+  EXPECT_EQ(candidate.rank, 2);
+  EXPECT_EQ(candidate.matched_sequence, 3u);
+  EXPECT_EQ(candidate.state, CandidateState::kConfirmed);
+  EXPECT_EQ(candidate.cause, CandidateCause::kLoopClosure);
+  EXPECT_EQ(candidate.actor, "token:bob");
+  EXPECT_EQ(candidate.update_time_ns, -1234567890123456789);
+  EXPECT_EQ(candidate.decision, "link");
+  EXPECT_EQ(candidate.event_number, 4u);
+  EXPECT_EQ(check->candidates[1].state, CandidateState::kWithdrawn);
+  const auto event = DecodeEventRecord(Bytes(kGoldenEvent));
+  ASSERT_THAT(event, IsOk());
+  EXPECT_EQ(event->vehicle_id, "truck");
+  EXPECT_EQ(event->vehicle_uid, "uid");
+  ASSERT_TRUE(event->candidate.has_value());
+  EXPECT_EQ(event->candidate->decision, "link");
+  EXPECT_EQ(event->check_sequence, 7u);
+  EXPECT_EQ(event->revision, 8u);
+  EXPECT_EQ(event->evidence, "evidence");
+  const auto farewell = DecodeEventRecord(Bytes(kGoldenFarewell));
+  ASSERT_THAT(farewell, IsOk());
+  EXPECT_EQ(farewell->vehicle_uid, "uid");
+  EXPECT_FALSE(farewell->candidate.has_value());
+}
+
+TEST(GoldenRecordTest, WhatIsNoCheckOrEventIsDamage) {
+  for (const std::string& payload :
+       {std::string("\xff"), Bytes("120220"), Bytes("12022063")}) {
+    EXPECT_THAT(
+        DecodeCheckRecord(payload),
+        IsError(absl::StatusCode::kDataLoss, "STORE_CORRUPT", ::testing::_))
+        << Hex(payload);
+  }
+  for (const std::string& payload : {std::string("\xff"), std::string()}) {
+    EXPECT_THAT(
+        DecodeEventRecord(payload),
+        IsError(absl::StatusCode::kDataLoss, "STORE_CORRUPT", ::testing::_));
   }
 }
 

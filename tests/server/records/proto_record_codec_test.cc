@@ -66,6 +66,8 @@ TEST(SettingsConversionTest, EverySettingSurvivesTheStore) {
       max_age { seconds: 77 nanos: 5 }
       max_passes: 3
     }
+    checks: STORED_CHECKS_STORED
+    keep_probability: 0.25
   )pb");
   auto config = DecodeSettings(settings, FieldPath());
   ASSERT_THAT(config, IsOk());

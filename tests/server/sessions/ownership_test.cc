@@ -188,13 +188,13 @@ TEST_F(OwnershipTest, WhatIsInMemoryIsNotAcknowledgedAgainWithoutTheStore) {
   ASSERT_THAT(AddPairNow(*session, PairKind::kLoopClosure, pair), IsOk());
   a_.held.Hold();
   const Answer<absl::StatusOr<AddedPair>> added;
-  session->AddPosePair(PairKind::kLoopClosure, pair, added.Setter());
+  session->AddPosePair(PairKind::kLoopClosure, pair, {}, added.Setter());
   a_.held.Await(1);
   a_.held.ReleaseAll();
   EXPECT_THAT(added.Get(), IsOk());
   a_.held.Hold();
   const Answer<absl::StatusOr<AddedPair>> again;
-  session->AddPosePair(PairKind::kLoopClosure, pair, again.Setter());
+  session->AddPosePair(PairKind::kLoopClosure, pair, {}, again.Setter());
   const Answer<absl::StatusOr<std::uint64_t>> deleted;
   session->DeletePosePair(PairKind::kLoopClosure, "d", {}, deleted.Setter());
   a_.held.Await(1);

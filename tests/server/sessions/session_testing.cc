@@ -130,7 +130,7 @@ absl::StatusOr<RevisionResult> ReviseNow(
 absl::StatusOr<AddedPair> AddPairNow(VehicleSession& session, PairKind kind,
                                      const PosePairRecord& pair) {
   const Answer<absl::StatusOr<AddedPair>> answer;
-  session.AddPosePair(kind, pair, answer.Setter());
+  session.AddPosePair(kind, pair, {}, answer.Setter());
   return answer.Get();
 }
 

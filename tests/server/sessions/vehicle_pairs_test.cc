@@ -336,7 +336,7 @@ TEST_F(VehicleSessionTest, NeverShowsRejectionThatIsNotDurable) {
   ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
   storage_.Hold();
   const Answer<absl::StatusOr<AddedPair>> rejected;
-  session_->AddPosePair(kRejection, {"a", 9, 2, 0}, rejected.Setter());
+  session_->AddPosePair(kRejection, {"a", 9, 2, 0}, {}, rejected.Setter());
   storage_.Await(1);
   EXPECT_EQ(ReadNow(*session_)->consistency.rejected, 0);
   storage_.FailOne(DeviceFailure());
@@ -355,7 +355,7 @@ TEST_F(VehicleSessionTest, LoadsAnewIfTheStoreHasOneRejectionMore) {
   const VehicleKey key = memory_.GetVehicle("truck")->key;
   storage_.Hold();
   const Answer<absl::StatusOr<AddedPair>> rejected;
-  session_->AddPosePair(kRejection, {"a", 9, 2, 0}, rejected.Setter());
+  session_->AddPosePair(kRejection, {"a", 9, 2, 0}, {}, rejected.Setter());
   storage_.Await(1);
   storage_.FailOne(DeviceFailure());
   EXPECT_THAT(rejected.Get(),

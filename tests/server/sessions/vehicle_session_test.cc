@@ -346,7 +346,7 @@ TEST_F(VehicleSessionTest, ChangeWaitsForAppendsAndHoldsUpThoseBehind) {
   storage_.Hold();
   const Appended before = Append(*session_, StraightBatch(10, 1));
   const Answer<absl::StatusOr<AddedPair>> closed;
-  session_->AddPosePair(kClosure, {"a", 10, 1, 0}, closed.Setter());
+  session_->AddPosePair(kClosure, {"a", 10, 1, 0}, {}, closed.Setter());
   const Appended behind = Append(*session_, StraightBatch(11, 1));
   storage_.Await(1);
   ASSERT_THAT(ReadNow(*session_), IsOk());
@@ -461,7 +461,8 @@ TEST_F(VehicleSessionTest, NothingGetsBetweenAnAcknowledgementAndItsChecks) {
     session_->Append(append->Request(), append);
   }
   const Answer<absl::StatusOr<AddedPair>> pair;
-  session_->AddPosePair(PairKind::kLoopClosure, {"a", 60, 1, 1}, pair.Setter());
+  session_->AddPosePair(PairKind::kLoopClosure, {"a", 60, 1, 1}, {},
+                        pair.Setter());
   storage_.ReleaseAll();
   for (const Answer<bool>& answer : answers) answer.Get();
   EXPECT_THAT(pair.Get().status(), IsOk());

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <map>
 #include <mutex>
 #include <optional>
 #include <random>
@@ -29,11 +30,26 @@ BatchRecord Batch(std::uint64_t first, std::uint32_t count,
   return BatchRecord{first, count, revision, payload};
 }
 
-// The texts of deleted pairs, if they are kept.
-std::vector<std::string> IfKept(const StoreFactory& factory,
-                                std::vector<std::string> texts) {
-  if (!factory.keeps_deleted_pairs) texts.clear();
-  return texts;
+constexpr char kNoRoom[] = "the version before has no tables for checks";
+
+// A step of checks that moves a vehicle's head on.
+ChecksWrite Step(const ChecksHead& before, std::uint64_t checked,
+                 std::vector<CheckRecord> checks,
+                 std::vector<EventRecord> events) {
+  ChecksWrite write;
+  write.before = before;
+  write.after = {true, checked, before.last_event + events.size()};
+  write.checks = std::move(checks);
+  write.events = std::move(events);
+  return write;
+}
+
+EventRecord Event(std::int64_t time_ns, const std::string& payload) {
+  EventRecord event;
+  event.number = 77;  // Not read.
+  event.time_ns = time_ns;
+  event.payload = payload;
+  return event;
 }
 
 }  // namespace
@@ -81,6 +97,8 @@ TEST_P(StorageContract, AnswersNotFoundForKeyOfNoVehicle) {
     EXPECT_THAT(storage().ListPosePairs(5, kind, "", 10), not_found);
   }
   EXPECT_THAT(storage().ListDeletedPairs(5), not_found);
+  EXPECT_THAT(write().PutChecks(5, {}), not_found);
+  EXPECT_THAT(storage().ListChecks(5, 1, 9, false, 10), not_found);
 }
 
 TEST_P(StorageContract, ListsVehiclesByIdInPages) {
@@ -425,9 +443,9 @@ TEST_P(StorageContract, KeepsDeletedPairsAsLongAsTheirVehicle) {
       IsError(StatusCode::kNotFound, "REJECTED_CANDIDATE_NOT_FOUND", _));
   ASSERT_THAT(remove(key, PairKind::kLoopClosure, "a", 7, 6), IsOk());
   ASSERT_THAT(remove(other, PairKind::kLoopClosure, "a", 9, 4), IsOk());
-  const std::vector<std::string> expected = IfKept(
-      GetParam(), {"2, closure a: 2 at 1, -5 ns, 'said', deleted at 7 ns",
-                   "1, rejected a: 2 at 1, -5 ns, 'said', deleted at 8 ns"});
+  const std::vector<std::string> expected = {
+      "2, closure a: 2 at 1, -5 ns, 'said', deleted at 7 ns",
+      "1, rejected a: 2 at 1, -5 ns, 'said', deleted at 8 ns"};
   EXPECT_EQ(ToTexts(*storage().ListDeletedPairs(key)), expected);
   ASSERT_THAT(write().Revise(key, {Batch(1, 2, 0, "A")}, 7), IsOk());
   ASSERT_THAT(write().Replace(key, {{Batch(1, 2, 8, "dropped")}}, 8), IsOk());
@@ -438,15 +456,12 @@ TEST_P(StorageContract, KeepsDeletedPairsAsLongAsTheirVehicle) {
   EXPECT_THAT(storage().ListDeletedPairs(key),
               IsError(StatusCode::kNotFound, "VEHICLE_NOT_FOUND", _));
   EXPECT_THAT(*storage().ListDeletedPairs(*write().Create("truck")), IsEmpty());
-  EXPECT_EQ(ToTexts(*storage().ListDeletedPairs(other)),
-            IfKept(GetParam(),
-                   {"1, closure a: 2 at 1, -5 ns, 'said', deleted at 9 ns"}));
+  EXPECT_THAT(
+      ToTexts(*storage().ListDeletedPairs(other)),
+      ElementsAre("1, closure a: 2 at 1, -5 ns, 'said', deleted at 9 ns"));
 }
 
 TEST_P(StorageContract, KeepsTheLast1000DeletedPairs) {
-  if (!GetParam().keeps_deleted_pairs) {
-    GTEST_SKIP() << "the version before has no table for deleted pairs";
-  }
   const VehicleKey key = *write().Create("truck");
   const Answer<absl::Status> last;
   for (std::uint64_t i = 1; i <= kMostDeletedPairs + 2; ++i) {
@@ -454,10 +469,10 @@ TEST_P(StorageContract, KeepsTheLast1000DeletedPairs) {
     DeletedPairRecord deleted;
     deleted.kind = kind;
     deleted.pair = {"p", i + 1, 1, 0};
-    storage().AddPosePair(key, kind, deleted.pair, 2 * i,
+    storage().AddPosePair(key, kind, deleted.pair, std::nullopt, 2 * i,
                           [](const absl::Status&) {});
     storage().DeletePosePair(
-        key, deleted, 2 * i + 1,
+        key, deleted, std::nullopt, 2 * i + 1,
         i == kMostDeletedPairs + 2 ? last.Setter()
                                    : [](const absl::Status&) {});
   }
@@ -742,12 +757,266 @@ TEST_P(StorageContract, RemovesASnapshotWithWhatItComesFrom) {
   }
 }
 
+TEST_P(StorageContract, KeepsChecksAndTheirEventsInOneStep) {
+  if (!GetParam().keeps_checks) GTEST_SKIP() << kNoRoom;
+  const VehicleKey key = *write().Create("truck");
+  ASSERT_THAT(write().Append(key, Batch(1, 9, 2, "nine")), IsOk());
+  EXPECT_EQ(storage().GetVehicle("truck")->checks, ChecksHead());
+  ASSERT_THAT(write().PutChecks(key, Step({}, 0, {}, {})), IsOk());
+  ASSERT_THAT(
+      write().PutChecks(key, Step({true, 0, 0}, 4, {{4, 2, 1, -5, "four"}},
+                                  {Event(6, "found")})),
+      IsOk());
+  ASSERT_THAT(
+      write().PutChecks(
+          key, Step({true, 4, 1}, 8, {{7, 2, 0, 7, ""}, {8, 2, 2, 8, "eight"}},
+                    {Event(8, "a"), Event(9, "b")})),
+      IsOk());
+  // The revision is that of the poses still.
+  const std::string expected =
+      "truck " + std::to_string(key) +
+      ": 0 closures, 0 rejected, to 9, revision 2, 'payload', checks stored to "
+      "8, event 3";
+  EXPECT_EQ(ToText(*storage().GetVehicle("truck")), expected);
+  // Refused whole, since the head is another.
+  for (const ChecksHead& other :
+       {ChecksHead{true, 4, 1}, ChecksHead{true, 8, 2}, ChecksHead{true, 7, 3},
+        ChecksHead{false, 8, 3}}) {
+    EXPECT_THAT(write().PutChecks(
+                    key, Step(other, 9, {{8, 3, 0, 9, "x"}}, {Event(9, "x")})),
+                IsError(StatusCode::kFailedPrecondition, "INTERNAL", _));
+  }
+  store_->Reopen();
+  EXPECT_EQ(ToText(*storage().GetVehicle("truck")), expected);
+  EXPECT_EQ(ToText(*storage().TakeVehicle("truck")), expected);
+  const auto checks = [&](std::uint64_t first, std::uint64_t last, bool open,
+                          int limit) {
+    return ToTexts(*storage().ListChecks(key, first, last, open, limit));
+  };
+  EXPECT_THAT(checks(0, kLastSequence, false, 9),
+              ElementsAre("4: 1 open, revision 2, -5 ns, 'four'",
+                          "7: 0 open, revision 2, 7 ns, ''",
+                          "8: 2 open, revision 2, 8 ns, 'eight'"));
+  EXPECT_THAT(checks(5, 8, true, 9),
+              ElementsAre("8: 2 open, revision 2, 8 ns, 'eight'"));
+  EXPECT_THAT(checks(4, 7, false, 1),
+              ElementsAre("4: 1 open, revision 2, -5 ns, 'four'"));
+  EXPECT_THAT(ToTexts(*ReadEvents({}, 9)),
+              ElementsAre("1: 6 ns, 'found'", "2: 8 ns, 'a'", "3: 9 ns, 'b'"));
+  // Replaced, removed, and told in one step.
+  ChecksWrite change =
+      Step({true, 8, 3}, 8, {{4, 2, 0, -5, "FOUR"}}, {Event(10, "c")});
+  change.removed = {8, 7, 6};
+  change.after.stores = false;
+  ASSERT_THAT(write().PutChecks(key, change), IsOk());
+  EXPECT_THAT(checks(0, 9, false, 9),
+              ElementsAre("4: 0 open, revision 2, -5 ns, 'FOUR'"));
+  EXPECT_EQ(storage().GetVehicle("truck")->checks, (ChecksHead{false, 8, 4}));
+}
+
+TEST_P(StorageContract, StoresWhatAPairMakesOfChecksWithThePair) {
+  if (!GetParam().keeps_checks) GTEST_SKIP() << kNoRoom;
+  const VehicleKey key = *write().Create("truck");
+  ASSERT_THAT(write().Append(key, Batch(1, 9, 2, "nine")), IsOk());
+  ASSERT_THAT(write().PutChecks(key, Step({}, 9, {{9, 2, 1, 5, "open"}}, {})),
+              IsOk());
+  const PosePairRecord pair = {"a", 9, 2, 0};
+  const ChecksWrite confirmed =
+      Step({true, 9, 0}, 9, {{9, 2, 0, 5, "confirmed"}}, {Event(6, "yes")});
+  // Neither the one without the other.
+  EXPECT_THAT(write().AddPair(key, PairKind::kLoopClosure, pair, 3,
+                              Step({true, 8, 0}, 9, {}, {Event(6, "no")})),
+              IsError(StatusCode::kFailedPrecondition, "INTERNAL", _));
+  EXPECT_THAT(*storage().ListPosePairs(key, PairKind::kLoopClosure, "", 9),
+              IsEmpty());
+  ASSERT_THAT(write().AddPair(key, PairKind::kLoopClosure, pair, 3, confirmed),
+              IsOk());
+  EXPECT_THAT(write().AddPair(key, PairKind::kLoopClosure, pair, 4,
+                              Step({true, 9, 1}, 9, {}, {Event(7, "again")})),
+              IsError(StatusCode::kAlreadyExists, "LOOP_CLOSURE_EXISTS", _));
+  EXPECT_THAT(ToTexts(*storage().ListChecks(key, 1, 9, false, 9)),
+              ElementsAre("9: 0 open, revision 2, 5 ns, 'confirmed'"));
+  EXPECT_EQ(storage().GetVehicle("truck")->revision, 3u);
+  DeletedPairRecord deleted;
+  deleted.pair = pair;
+  EXPECT_THAT(write().DeletePair(key, deleted, 4,
+                                 Step({true, 9, 0}, 9, {}, {Event(7, "no")})),
+              IsError(StatusCode::kFailedPrecondition, "INTERNAL", _));
+  ASSERT_THAT(
+      write().DeletePair(key, deleted, 4,
+                         Step({true, 9, 1}, 9, {{9, 2, 1, 5, "open again"}},
+                              {Event(8, "taken back")})),
+      IsOk());
+  store_->Reopen();
+  EXPECT_THAT(ToTexts(*storage().ListChecks(key, 1, 9, true, 9)),
+              ElementsAre("9: 1 open, revision 2, 5 ns, 'open again'"));
+  EXPECT_THAT(ToTexts(*ReadEvents({}, 9)),
+              ElementsAre("1: 6 ns, 'yes'", "2: 8 ns, 'taken back'"));
+  EXPECT_THAT(*storage().ListPosePairs(key, PairKind::kLoopClosure, "", 9),
+              IsEmpty());
+}
+
+TEST_P(StorageContract, SetsChecksBackWithWhatIsGivenUp) {
+  if (!GetParam().keeps_checks) GTEST_SKIP() << kNoRoom;
+  const VehicleKey key = *write().Create("truck");
+  ASSERT_THAT(write().Append(key, Batch(1, 4, 2, "four")), IsOk());
+  ASSERT_THAT(write().Append(key, Batch(5, 4, 3, "four")), IsOk());
+  ASSERT_THAT(write().PutChecks(
+                  key, Step({}, 7, {{3, 3, 1, 1, "three"}, {7, 3, 1, 2, "7"}},
+                            {Event(1, "a"), Event(2, "b")})),
+              IsOk());
+  ASSERT_THAT(write().DropDamaged(key, 4, "payload", 4), IsOk());
+  EXPECT_EQ(storage().GetVehicle("truck")->checks, (ChecksHead{true, 4, 2}));
+  EXPECT_THAT(ToTexts(*storage().ListChecks(key, 1, 9, false, 9)),
+              ElementsAre("3: 1 open, revision 3, 1 ns, 'three'"));
+  // What was told was told.
+  EXPECT_THAT(ToTexts(*ReadEvents({}, 9)),
+              ElementsAre("1: 1 ns, 'a'", "2: 2 ns, 'b'"));
+}
+
+TEST_P(StorageContract, ListsTheVehiclesThatOweChecks) {
+  if (!GetParam().keeps_checks) GTEST_SKIP() << kNoRoom;
+  std::map<std::string, VehicleKey> keys;
+  for (const char* id : {"a", "b", "c", "d", "e"}) {
+    keys[id] = *write().Create(id);
+    ASSERT_THAT(write().Append(keys[id], Batch(1, 5, 2, "x")), IsOk());
+  }
+  ASSERT_THAT(write().PutChecks(keys["a"], Step({}, 4, {}, {})), IsOk());
+  ASSERT_THAT(write().PutChecks(keys["b"], Step({}, 5, {}, {})), IsOk());
+  ASSERT_THAT(write().PutChecks(keys["c"], Step({}, 0, {}, {})), IsOk());
+  ChecksWrite ended = Step({}, 2, {}, {});
+  ended.after.stores = false;
+  ASSERT_THAT(write().PutChecks(keys["d"], ended), IsOk());
+  const auto owing = [&](VehicleKey after, int limit) {
+    std::vector<std::string> texts;
+    const auto records = storage().ListUnchecked(after, limit);
+    EXPECT_THAT(records, IsOk());
+    for (const VehicleRecord& record : *records) {
+      EXPECT_EQ(record.key, keys[record.id]);
+      texts.push_back(record.id + " to " +
+                      std::to_string(record.checks.checked_sequence));
+    }
+    return texts;
+  };
+  EXPECT_THAT(owing(0, 9), ElementsAre("a to 4", "c to 0"));
+  EXPECT_THAT(owing(0, 1), ElementsAre("a to 4"));
+  EXPECT_THAT(owing(keys["a"], 9), ElementsAre("c to 0"));
+  ASSERT_THAT(write().Append(keys["b"], Batch(6, 1, 3, "x")), IsOk());
+  ASSERT_THAT(write().Delete(keys["a"]), IsOk());
+  EXPECT_THAT(owing(0, 9), ElementsAre("b to 5", "c to 0"));
+}
+
+TEST_P(StorageContract, TellsEventsOfAllVehiclesBehindAPosition) {
+  if (!GetParam().keeps_checks) GTEST_SKIP() << kNoRoom;
+  const VehicleKey truck = *write().Create("truck");
+  const VehicleKey van = *write().Create("van");
+  EXPECT_EQ(*LastEvent(), EventPosition());
+  EXPECT_THAT(*ReadEvents({}, 9), IsEmpty());
+  ASSERT_THAT(write().PutChecks(truck, Step({}, 0, {}, {Event(1, "t1")})),
+              IsOk());
+  ASSERT_THAT(
+      write().PutChecks(van, Step({}, 0, {}, {Event(2, "v1"), Event(3, "v2")})),
+      IsOk());
+  ASSERT_THAT(
+      write().PutChecks(truck, Step({true, 0, 1}, 0, {}, {Event(4, "t2")})),
+      IsOk());
+  store_->Reopen();
+  const auto all = ReadEvents({}, 9);
+  ASSERT_THAT(all, IsOk());
+  ASSERT_THAT(ToTexts(*all), ElementsAre("1: 1 ns, 't1'", "1: 2 ns, 'v1'",
+                                         "2: 3 ns, 'v2'", "2: 4 ns, 't2'"));
+  EXPECT_EQ((*all)[0].position.key, truck);
+  EXPECT_EQ((*all)[1].position.key, van);
+  EXPECT_EQ(*LastEvent(), all->back().position);
+  EXPECT_THAT(ToTexts(*ReadEvents((*all)[1].position, 1)),
+              ElementsAre("2: 3 ns, 'v2'"));
+  EXPECT_THAT(*ReadEvents(all->back().position, 9), IsEmpty());
+  // A position that no event of this store has.
+  for (const int i : {0, 3}) {
+    EventPosition other = (*all)[static_cast<std::size_t>(i)].position;
+    ++other.checksum;
+    EXPECT_THAT(ReadEvents(other, 9),
+                IsError(StatusCode::kOutOfRange, "CURSOR_UNKNOWN", _));
+  }
+  EventPosition later = all->back().position;
+  later.order += 1000;
+  EXPECT_THAT(ReadEvents(later, 9),
+              IsError(StatusCode::kOutOfRange, "CURSOR_UNKNOWN", _));
+}
+
+TEST_P(StorageContract, KeepsThePlacesOfEventsWhenTheirVehicleIsDeleted) {
+  if (!GetParam().keeps_checks) GTEST_SKIP() << kNoRoom;
+  const VehicleKey truck = *write().Create("truck");
+  const VehicleKey van = *write().Create("van");
+  const VehicleKey silent = *write().Create("silent");
+  ASSERT_THAT(write().PutChecks(truck, Step({}, 0, {{1, 1, 1, 1, "c"}},
+                                            {Event(1, "t1"), Event(2, "t2")})),
+              IsOk());
+  ASSERT_THAT(write().PutChecks(van, Step({}, 0, {}, {Event(3, "v1")})),
+              IsOk());
+  const auto before = ReadEvents({}, 9);
+  ASSERT_THAT(write().Delete(silent, Event(4, "farewell of none")), IsOk());
+  ASSERT_THAT(write().Delete(truck, Event(5, "farewell")), IsOk());
+  store_->Reopen();
+  const auto after = ReadEvents({}, 9);
+  ASSERT_THAT(after, IsOk());
+  EXPECT_THAT(ToTexts(*after),
+              ElementsAre("1: 1 ns, ''", "2: 2 ns, ''", "1: 3 ns, 'v1'",
+                          "3: 5 ns, 'farewell'"));
+  for (const EventRecord& event : *after) {
+    EXPECT_THAT(event.damage, IsOk());
+  }
+  // Who had read up to one goes on behind it.
+  EXPECT_THAT(ToTexts(*ReadEvents((*before)[1].position, 9)),
+              ElementsAre("1: 3 ns, 'v1'", "3: 5 ns, 'farewell'"));
+}
+
+TEST_P(StorageContract, SaysThatACursorIsTooOldOnceEventsBehindItWereDropped) {
+  if (!GetParam().keeps_checks) GTEST_SKIP() << kNoRoom;
+  const VehicleKey key = *write().Create("truck");
+  ASSERT_THAT(write().PutChecks(key, Step({}, 0, {},
+                                          {Event(10, "a"), Event(20, "b"),
+                                           Event(30, "c"), Event(15, "d")})),
+              IsOk());
+  const auto all = ReadEvents({}, 9);
+  ASSERT_THAT(DropEvents(10, 9), IsOk());
+  EXPECT_EQ(ReadEvents({}, 9)->size(), 4u);
+  // The oldest first, and none behind one that stays.
+  ASSERT_THAT(DropEvents(25, 1), IsOk());
+  EXPECT_THAT(ReadEvents({}, 9),
+              IsError(StatusCode::kOutOfRange, "CURSOR_TOO_OLD", _));
+  EXPECT_THAT(ToTexts(*ReadEvents((*all)[0].position, 9)),
+              ElementsAre("2: 20 ns, 'b'", "3: 30 ns, 'c'", "4: 15 ns, 'd'"));
+  ASSERT_THAT(DropEvents(25, 9), IsOk());
+  store_->Reopen();
+  EXPECT_THAT(ReadEvents((*all)[0].position, 9),
+              IsError(StatusCode::kOutOfRange, "CURSOR_TOO_OLD", _));
+  // What it has read is gone, but nothing behind it.
+  EXPECT_THAT(ToTexts(*ReadEvents((*all)[1].position, 9)),
+              ElementsAre("3: 30 ns, 'c'", "4: 15 ns, 'd'"));
+  ASSERT_THAT(DropEvents(99, 9), IsOk());
+  EXPECT_EQ(*LastEvent(), all->back().position);
+  EXPECT_THAT(*ReadEvents(*LastEvent(), 9), IsEmpty());
+  ASSERT_THAT(
+      write().PutChecks(key, Step({true, 0, 4}, 0, {}, {Event(40, "e")})),
+      IsOk());
+  EXPECT_THAT(ToTexts(*ReadEvents(all->back().position, 9)),
+              ElementsAre("5: 40 ns, 'e'"));
+  // A vehicle whose events were all dropped has had some.
+  ASSERT_THAT(DropEvents(99, 9), IsOk());
+  ASSERT_THAT(write().Delete(key, Event(50, "farewell")), IsOk());
+  EXPECT_THAT(ToTexts(*ReadEvents(*LastEvent(), 9)), IsEmpty());
+  EXPECT_EQ(LastEvent()->number, 6u);
+}
+
 TEST_P(StorageContract, DoesWhatTheModelDoes) {
   std::mt19937_64 random = SeededRandom();
   MemoryStorage model;
   const std::vector<std::string> ids = {"a", "b", "c"};
   const std::vector<std::string> pairs = {"x", "y", "z"};
   std::uint64_t revision = 0;
+  // Up to which the events were read.
+  std::pair<EventPosition, EventPosition> read;
   // Keys of vehicles that are there, were there, and never were.
   std::vector<std::pair<VehicleKey, VehicleKey>> keys = {{99999, 99999}};
   const auto pick = [&](const auto& options) {
@@ -771,7 +1040,49 @@ TEST_P(StorageContract, DoesWhatTheModelDoes) {
                  call(BlockingWrites(&model), key.second)};
     };
     const bool has_snapshots = storage().KeepsSnapshots();
-    switch (UniformInt(random, has_snapshots ? -3 : 0, 10)) {
+    switch (UniformInt(random, has_snapshots ? -3 : 0,
+                       GetParam().keeps_checks ? 12 : 10)) {
+      case 11:
+      case 12: {
+        ChecksHead head;
+        const auto vehicles = model.ListVehicles("", "", 10);
+        for (const VehicleRecord& record : *vehicles) {
+          if (record.key == key.second) head = record.checks;
+        }
+        if (UniformInt(random, 0, 5) == 0) ++head.last_event;
+        ChecksWrite checks =
+            Step(head, static_cast<std::uint64_t>(UniformInt(random, 0, 20)),
+                 {}, {});
+        for (int i = UniformInt(random, 0, 3); i > 0; --i) {
+          checks.checks.push_back(
+              {static_cast<std::uint64_t>(UniformInt(random, 1, 12)), revision,
+               static_cast<std::uint32_t>(UniformInt(random, 0, 2)), step,
+               payload});
+        }
+        for (int i = UniformInt(random, 0, 3); i > 0; --i) {
+          checks.events.push_back(Event(step, payload + "."));
+        }
+        checks.after.last_event += checks.events.size();
+        if (UniformInt(random, 0, 2) == 0) checks.removed.push_back(5);
+        if (UniformInt(random, 0, 1) == 0) {
+          both([&](BlockingWrites writes, VehicleKey k) {
+            return writes.PutChecks(k, checks);
+          });
+          break;
+        }
+        const PairKind kind = kPairKinds[UniformInt(random, 0, 1)];
+        const PosePairRecord pair{
+            pick(pairs), static_cast<std::uint64_t>(step) + 2, 1, step};
+        DeletedPairRecord deleted;
+        deleted.kind = kind;
+        deleted.pair = pair;
+        const bool adds = UniformInt(random, 0, 1) == 0;
+        both([&](BlockingWrites writes, VehicleKey k) {
+          return adds ? writes.AddPair(k, kind, pair, revision, checks)
+                      : writes.DeletePair(k, deleted, revision, checks);
+        });
+        break;
+      }
       case -3: {
         const auto number =
             static_cast<std::uint32_t>(UniformInt(random, 0, 3));
@@ -814,7 +1125,7 @@ TEST_P(StorageContract, DoesWhatTheModelDoes) {
       case 2:
         if (UniformInt(random, 0, 4) != 0) break;
         both([&](BlockingWrites writes, VehicleKey k) {
-          return writes.Delete(k);
+          return writes.Delete(k, Event(step, "farewell"));
         });
         break;
       case 3: {
@@ -893,6 +1204,30 @@ TEST_P(StorageContract, DoesWhatTheModelDoes) {
         << results.first << " instead of " << results.second;
     ASSERT_EQ(ReasonOf(results.first), ReasonOf(results.second));
 
+    if (UniformInt(random, 0, 9) == 0) {
+      const std::int64_t before = step - UniformInt(random, 0, 99);
+      const int most = UniformInt(random, 1, 9);
+      store_->AwaitEvents();
+      both([&](BlockingWrites writes, VehicleKey) {
+        return writes.DropEvents(before, most);
+      });
+      ASSERT_THAT(results.first, IsOk());
+      ASSERT_THAT(results.second, IsOk());
+    }
+    const auto real_events = ReadEvents(read.first, 999);
+    const auto model_events = model.ReadEvents(read.second, 999);
+    ASSERT_EQ(ReasonOf(real_events.status()), ReasonOf(model_events.status()));
+    if (!real_events.ok()) {
+      read = {*LastEvent(), *model.LastEvent()};
+    } else {
+      ASSERT_EQ(ToTexts(*real_events), ToTexts(*model_events));
+      if (!real_events->empty() && UniformInt(random, 0, 20) == 0) {
+        const auto last = static_cast<std::size_t>(
+            UniformInt(random, 0, static_cast<int>(real_events->size()) - 1));
+        read = {(*real_events)[last].position, (*model_events)[last].position};
+      }
+    }
+
     const auto real_vehicles = storage().ListVehicles("", "", 10);
     const auto model_vehicles = model.ListVehicles("", "", 10);
     ASSERT_THAT(real_vehicles, IsOk());
@@ -906,9 +1241,10 @@ TEST_P(StorageContract, DoesWhatTheModelDoes) {
         ASSERT_EQ(ToTexts(*storage().ListPosePairs(real_key, kind, "", 10)),
                   ToTexts(*model.ListPosePairs(expected.key, kind, "", 10)));
       }
-      ASSERT_EQ(
-          ToTexts(*storage().ListDeletedPairs(real_key)),
-          IfKept(GetParam(), ToTexts(*model.ListDeletedPairs(expected.key))));
+      ASSERT_EQ(ToTexts(*storage().ListDeletedPairs(real_key)),
+                ToTexts(*model.ListDeletedPairs(expected.key)));
+      ASSERT_EQ(ToTexts(*storage().ListChecks(real_key, 1, 15, false, 99)),
+                ToTexts(*model.ListChecks(expected.key, 1, 15, false, 99)));
       if (storage().KeepsSnapshots()) {
         ASSERT_EQ(SnapshotOf(storage(), real_key),
                   SnapshotOf(model, expected.key));

@@ -3,11 +3,15 @@
 #ifndef REVISIT_TESTS_SERVER_STORAGE_STORAGE_CONTRACT_H_
 #define REVISIT_TESTS_SERVER_STORAGE_STORAGE_CONTRACT_H_
 
+#include <cstdint>
 #include <functional>
 #include <memory>
 #include <ostream>
 #include <string>
+#include <vector>
 
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
 #include "gtest/gtest.h"
 #include "server/storage/storage.h"
 #include "tests/server/storage_testing.h"
@@ -21,15 +25,18 @@ class StoreUnderTest {
   virtual Storage& storage() = 0;
   // Closes and opens it again. A storage that keeps nothing does nothing.
   virtual void Reopen() = 0;
+  // Waits until all events that were written are told: a store that others use
+  // too may keep them back while those write.
+  virtual void AwaitEvents() {}
 };
 
 struct StoreFactory {
   std::string name;
   // Null if the machine lacks what it needs.
   std::function<std::unique_ptr<StoreUnderTest>()> make;
-  // Whether pairs that are deleted are kept; false with the tables in a
-  // database that had no room for them.
-  bool keeps_deleted_pairs = true;
+  // Whether checks and events are kept; false with the tables in a database
+  // that had no room for them.
+  bool keeps_checks = true;
 };
 
 inline void PrintTo(const StoreFactory& factory, std::ostream* stream) {
@@ -51,6 +58,20 @@ class StorageContract : public ::testing::TestWithParam<StoreFactory> {
 
   Storage& storage() { return store_->storage(); }
   BlockingWrites write() { return BlockingWrites(&storage()); }
+  // As those of the storage, with all events that were written until now.
+  absl::StatusOr<std::vector<EventRecord>> ReadEvents(
+      const EventPosition& after, int limit) {
+    store_->AwaitEvents();
+    return storage().ReadEvents(after, limit);
+  }
+  absl::StatusOr<EventPosition> LastEvent() {
+    store_->AwaitEvents();
+    return storage().LastEvent();
+  }
+  absl::Status DropEvents(std::int64_t before_ns, int most) {
+    store_->AwaitEvents();
+    return write().DropEvents(before_ns, most);
+  }
 
   const std::unique_ptr<StoreUnderTest> store_;
 };

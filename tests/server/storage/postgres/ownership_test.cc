@@ -665,8 +665,8 @@ TEST_F(OwnershipTest, WritesThatWaitAreNotWrittenUnderALaterClaim) {
   ASSERT_THAT(a->TakeVehicle("other"), IsOk());
   const Answer<absl::Status> held;
   const Answer<absl::Status> waiting;
-  a->AddPosePair(other, PairKind::kRejectedCandidate, {"a", 2, 1, 0}, 2,
-                 held.Setter());
+  a->AddPosePair(other, PairKind::kRejectedCandidate, {"a", 2, 1, 0},
+                 std::nullopt, 2, held.Setter());
   AwaitWaiting("Lock");
   AppendBatch(*a, key, One(1), std::nullopt, waiting.Setter());
   ASSERT_THAT(a->TakeVehicle("truck"), IsOk());

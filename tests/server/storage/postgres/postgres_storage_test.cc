@@ -15,6 +15,7 @@
 #include "server/storage/postgres/migrations.h"
 #include "server/storage/postgres/postgres_appends.h"
 #include "server/storage/postgres/postgres_check.h"
+#include "server/storage/postgres/postgres_checks.h"
 #include "server/storage/postgres/postgres_reader.h"
 #include "tests/server/error_matchers.h"
 #include "tests/server/storage/postgres/postgres_server.h"
@@ -46,7 +47,11 @@ class PostgresStore : public StoreUnderTest {
   PostgresStore(std::string conninfo, const PostgresOptions& options)
       : conninfo_(std::move(conninfo)),
         options_(options),
-        storage_(MustOpen(conninfo_, options_)) {}
+        storage_(MustOpen(conninfo_, options_)) {
+    PostgresConnection::Options connection;
+    connection.conninfo = conninfo_;
+    connection_ = *PostgresConnection::Open(connection);
+  }
 
   Storage& storage() override { return *storage_; }
 
@@ -61,10 +66,21 @@ class PostgresStore : public StoreUnderTest {
     }
   }
 
+  void AwaitEvents() override {
+    if (!*KeepsChecks(*connection_)) return;
+    constexpr Statement kAllAreTold = {
+        "all_are_told",
+        "SELECT NOT EXISTS (SELECT 1 FROM events WHERE xid >= "
+        "pg_snapshot_xmin(pg_current_snapshot()))"};
+    EXPECT_TRUE(Eventually(
+        [&] { return connection_->Run(kAllAreTold)->Integer(0, 0) != 0; }));
+  }
+
  private:
   const std::string conninfo_;
   const PostgresOptions options_;
   std::unique_ptr<Storage> storage_;
+  std::unique_ptr<PostgresConnection> connection_;
 };
 
 std::unique_ptr<StoreUnderTest> MakeStore(const PostgresOptions& options) {
@@ -87,14 +103,17 @@ PostgresOptions ManyConnections() {
 }
 
 // Takes the tables back to the version before the last.
-constexpr char kToVersion4[] =
-    "DROP TABLE deleted_pose_pairs; UPDATE schema_version SET version = 4";
+constexpr char kToVersion5[] =
+    "DROP TABLE checks, events, dropped_events; "
+    "DROP FUNCTION set_checks_back, remove_checks CASCADE; "
+    "ALTER TABLE heads DROP checks_stored, DROP checked_sequence, "
+    "DROP last_event; UPDATE schema_version SET version = 5";
 
-std::unique_ptr<StoreUnderTest> MakeStoreOfVersion4() {
-  static_assert(kOldestSchemaVersion == 4);
+std::unique_ptr<StoreUnderTest> MakeStoreOfVersion5() {
+  static_assert(kOldestSchemaVersion == 5);
   if (PostgresServer::Shared() == nullptr) return nullptr;
   const std::string conninfo = PostgresServer::Shared()->MakeStore();
-  PostgresServer::Shared()->Run(conninfo, kToVersion4);
+  PostgresServer::Shared()->Run(conninfo, kToVersion5);
   return std::make_unique<PostgresStore>(conninfo, PostgresOptions());
 }
 
@@ -107,8 +126,8 @@ INSTANTIATE_TEST_SUITE_P(
                       StoreFactory{"ManyConnections",
                                    [] { return MakeStore(ManyConnections()); }},
                       StoreFactory{"WithTheTablesOfBefore",
-                                   [] { return MakeStoreOfVersion4(); },
-                                   /*keeps_deleted_pairs=*/false}),
+                                   [] { return MakeStoreOfVersion5(); },
+                                   /*keeps_checks=*/false}),
     NameOf);
 
 class PostgresStorageTest : public ::testing::Test {
@@ -175,28 +194,279 @@ TEST_F(PostgresStorageTest, OfMigrationsAtATimeOneMakesTheTables) {
   EXPECT_NE(MustOpen(empty), nullptr);
 }
 
-TEST_F(PostgresStorageTest, KeepsDeletedPairsFromTheMigrationOn) {
-  Sql(kToVersion4);
-  const auto storage = MustOpen(conninfo_);
-  BlockingWrites write(storage.get());
-  const VehicleKey key = *write.Create("truck");
-  const auto decide_and_undo = [&](std::uint64_t revision) {
-    const PairKind kind = PairKind::kLoopClosure;
-    EXPECT_THAT(write.AddPair(key, kind, {"a", 2, 1, 0}, revision), IsOk());
-    EXPECT_THAT(write.DeletePair(key, kind, "a", revision + 1), IsOk());
-  };
-  decide_and_undo(2);
-  EXPECT_THAT(*storage->ListDeletedPairs(key), IsEmpty());
+TEST_F(PostgresStorageTest, RefusesTablesOfAVersionLongBefore) {
+  Sql(kToVersion5);
+  Sql("DROP TABLE deleted_pose_pairs; UPDATE schema_version SET version = 4");
+  const auto older = IsError(
+      StatusCode::kFailedPrecondition, _,
+      AllOf(HasSubstr("of version 4, older"), HasSubstr("revisitd migrate")));
+  EXPECT_THAT(OpenPostgresStorage(conninfo_, {}), older);
+  EXPECT_THAT(OpenPostgresStorageToRead(conninfo_), older);
   const auto report = MigrateDatabase(conninfo_);
   ASSERT_THAT(report, IsOk());
   EXPECT_EQ(report->version_before, 4);
   EXPECT_EQ(report->version_after, kSchemaVersion);
+  EXPECT_NE(MustOpen(conninfo_), nullptr);
+}
+
+// A check at each of some sequences, and an event of each, in one step.
+ChecksWrite ChecksAt(const ChecksHead& before, std::uint64_t checked_sequence,
+                     const std::vector<std::uint64_t>& sequences) {
+  ChecksWrite write;
+  write.before = before;
+  write.after = {true, checked_sequence, before.last_event + sequences.size()};
+  for (const std::uint64_t sequence : sequences) {
+    write.checks.push_back({sequence, 1, 1, 5, "check"});
+    EventRecord event;
+    event.time_ns = 10 * static_cast<std::int64_t>(sequence);
+    event.payload = "of " + std::to_string(sequence);
+    write.events.push_back(event);
+  }
+  return write;
+}
+
+TEST_F(PostgresStorageTest, KeepsChecksFromTheMigrationOn) {
+  Sql(kToVersion5);
+  const auto storage = MustOpen(conninfo_);
+  BlockingWrites write(storage.get());
+  const VehicleKey key = *write.Create("truck");
+  ASSERT_THAT(write.Append(key, {1, 9, 2, "a"}), IsOk());
+  const ChecksWrite checks = ChecksAt({}, 4, {4});
+  const auto no_room = IsError(StatusCode::kFailedPrecondition, _,
+                               HasSubstr("revisitd migrate"));
+  const PosePairRecord pair = {"a", 2, 1, 0};
+  DeletedPairRecord deleted;
+  deleted.pair = pair;
+  EXPECT_THAT(write.PutChecks(key, checks), no_room);
+  EXPECT_THAT(write.AddPair(key, deleted.kind, pair, 3, checks), no_room);
+  ASSERT_THAT(write.AddPair(key, deleted.kind, pair, 3), IsOk());
+  EXPECT_THAT(write.DeletePair(key, deleted, 4, checks), no_room);
+  ASSERT_THAT(write.DeletePair(key, deleted, 4), IsOk());
+  EXPECT_THAT(*storage->ListChecks(key, 0, 9, false, 9), IsEmpty());
+  EXPECT_THAT(*storage->ListUnchecked(0, 9), IsEmpty());
+  EXPECT_THAT(*storage->ReadEvents({}, 9), IsEmpty());
+  EXPECT_THAT(storage->ReadEvents({1, key, 1, 0}, 9),
+              IsError(StatusCode::kOutOfRange, "CURSOR_UNKNOWN", _));
+  EXPECT_EQ(*storage->LastEvent(), EventPosition());
+  EXPECT_THAT(write.DropEvents(9, 9), IsOk());
+  EXPECT_THAT(CheckDatabase(conninfo_)->problems, IsEmpty());
+  // A key without a vehicle, and a vehicle that was lost, are told first.
+  EXPECT_THAT(write.PutChecks(99, checks),
+              IsError(StatusCode::kNotFound, "VEHICLE_NOT_FOUND", _));
+  const auto report = MigrateDatabase(conninfo_);
+  ASSERT_THAT(report, IsOk());
+  EXPECT_EQ(report->version_before, 5);
+  EXPECT_EQ(report->version_after, kSchemaVersion);
   // The server goes on, and knows at once.
-  decide_and_undo(4);
-  EXPECT_EQ(storage->ListDeletedPairs(key)->size(), 1u);
-  // A server of before knows nothing of these rows where it deletes vehicles.
-  Sql("DELETE FROM vehicles");
-  EXPECT_EQ(Sql("SELECT count(*) FROM deleted_pose_pairs"), "0\n");
+  ASSERT_THAT(write.PutChecks(key, checks), IsOk());
+  EXPECT_EQ(storage->GetVehicle("truck")->checks, (ChecksHead{true, 4, 1}));
+  EXPECT_EQ(storage->ListChecks(key, 0, 9, false, 9)->size(), 1u);
+  EXPECT_TRUE(
+      Eventually([&] { return storage->ReadEvents({}, 9)->size() == 1; }));
+}
+
+TEST_F(PostgresStorageTest, ChecksAreNotWrittenByAServerThatLostTheVehicle) {
+  const auto storage = MustOpen(conninfo_);
+  BlockingWrites write(storage.get());
+  const VehicleKey key = *write.Create("truck");
+  const PosePairRecord pair = {"a", 2, 1, 0};
+  DeletedPairRecord deleted;
+  deleted.pair = pair;
+  ASSERT_THAT(write.AddPair(key, deleted.kind, pair, 2), IsOk());
+  const ChecksWrite checks = ChecksAt({}, 4, {4});
+  const auto fenced = IsError(StatusCode::kAborted, "EPOCH_FENCED", _);
+  const auto lose = [&] {
+    ASSERT_THAT(storage->TakeVehicle("truck"), IsOk());
+    Sql("UPDATE heads SET epoch = epoch + 1");
+  };
+  lose();
+  EXPECT_THAT(write.PutChecks(key, checks), fenced);
+  lose();
+  EXPECT_THAT(write.AddPair(key, deleted.kind, {"b", 2, 1, 0}, 3, checks),
+              fenced);
+  lose();
+  EXPECT_THAT(write.DeletePair(key, deleted, 3, checks), fenced);
+  lose();
+  EXPECT_THAT(write.Delete(key), fenced);
+  EXPECT_EQ(Sql("SELECT (SELECT count(*) FROM checks), (SELECT count(*) FROM "
+                "events), (SELECT count(*) FROM loop_closures), (SELECT "
+                "count(*) FROM deleted_pose_pairs)"),
+            "0|0|1|0\n");
+  // Checks leave the revision, which other writes are compared with.
+  ASSERT_THAT(storage->TakeVehicle("truck"), IsOk());
+  ASSERT_THAT(write.PutChecks(key, checks), IsOk());
+  EXPECT_EQ(storage->GetVehicle("truck")->revision, 2u);
+  EXPECT_THAT(write.Append(key, {1, 9, 3, "a"}), IsOk());
+}
+
+TEST_F(PostgresStorageTest, ServersOfTheVersionBeforeLeaveChecksRight) {
+  VehicleKey key = 0;
+  {
+    const auto storage = MustOpen(conninfo_);
+    BlockingWrites write(storage.get());
+    for (const char* id : {"other", "truck"}) {
+      key = *write.Create(id);
+      ASSERT_THAT(write.Append(key, {1, 4, 2, "a"}), IsOk());
+      ASSERT_THAT(write.Append(key, {5, 4, 3, "b"}), IsOk());
+      ASSERT_THAT(write.PutChecks(key, ChecksAt({}, 7, {3, 6})), IsOk());
+    }
+  }
+  const std::string of_truck = " = " + std::to_string(key);
+  const auto checked = [&] {
+    return Sql(
+        "SELECT checked_sequence, last_event, (SELECT count(*) FROM "
+        "checks WHERE vehicle_key = key) FROM heads ORDER BY key");
+  };
+  // What these write: a loss that is accepted, poses, and a deletion.
+  Sql("UPDATE heads SET durable_sequence = 4 WHERE key" + of_truck);
+  EXPECT_EQ(checked(), "7|2|2\n4|2|1\n");
+  Sql("UPDATE heads SET durable_sequence = 9 WHERE key" + of_truck);
+  EXPECT_EQ(checked(), "7|2|2\n4|2|1\n");
+  Sql("DELETE FROM heads WHERE key" + of_truck +
+      "; DELETE FROM vehicles WHERE key" + of_truck);
+  EXPECT_EQ(Sql("SELECT vehicle_key" + of_truck +
+                ", count(*) FROM checks "
+                "GROUP BY 1"),
+            "f|2\n");
+  EXPECT_EQ(Sql("SELECT number, payload = '' FROM events ORDER BY vehicle_key, "
+                "number"),
+            "1|f\n2|f\n1|t\n2|t\n");
+}
+
+TEST_F(PostgresStorageTest, FindsAndGivesUpDamageOfChecks) {
+  const auto storage = MustOpen(conninfo_);
+  BlockingWrites write(storage.get());
+  const VehicleKey key = *write.Create("truck");
+  ASSERT_THAT(write.Append(key, {1, 9, 2, "a"}), IsOk());
+  ASSERT_THAT(write.PutChecks(key, ChecksAt({}, 8, {3, 5, 7})), IsOk());
+  Sql("UPDATE checks SET open_count = 2 WHERE sequence = 5");
+  EXPECT_THAT((*storage->ListChecks(key, 1, 9, false, 9))[1].damage,
+              IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
+                      HasSubstr("check 5 of vehicle 'truck'")));
+  EXPECT_THAT(CheckDatabase(conninfo_)->damaged_vehicles, ElementsAre("truck"));
+  ASSERT_THAT(write.DropDamaged(key, 9, "payload", 3), IsOk());
+  EXPECT_EQ(Sql("SELECT sequence FROM checks ORDER BY 1"), "3\n7\n");
+  EXPECT_EQ(storage->GetVehicle("truck")->checks, (ChecksHead{true, 8, 3}));
+  EXPECT_THAT(CheckDatabase(conninfo_)->problems, IsEmpty());
+  Sql("INSERT INTO checks SELECT 99, sequence, format, revision, open_count, "
+      "create_time_ns, checksum, payload FROM checks; "
+      "UPDATE heads SET last_event = 2");
+  EXPECT_THAT(CheckDatabase(conninfo_)->problems,
+              ElementsAre(HasSubstr("2 checks belong to no vehicle"),
+                          HasSubstr("1 events are beyond")));
+}
+
+TEST_F(PostgresStorageTest, NumbersOfEventsGoOnWhereAHeadIsLost) {
+  const auto write_and_lose = [&](const char* id) {
+    const auto storage = MustOpen(conninfo_);
+    BlockingWrites write(storage.get());
+    const VehicleKey key = *write.Create(id);
+    EXPECT_THAT(write.Append(key, {1, 9, 2, "a"}), IsOk());
+    EXPECT_THAT(write.PutChecks(key, ChecksAt({}, 8, {3, 7})), IsOk());
+    Sql("DELETE FROM heads");
+    return key;
+  };
+  const VehicleKey truck = write_and_lose("truck");
+  {
+    const auto storage = MustOpen(conninfo_);
+    BlockingWrites write(storage.get());
+    ASSERT_THAT(storage->TakeVehicle("truck"), IsOk());
+    ASSERT_THAT(write.DropDamaged(truck, 9, "payload", 3), IsOk());
+    EXPECT_EQ(storage->GetVehicle("truck")->checks, (ChecksHead{true, 7, 2}));
+    EXPECT_THAT(write.PutChecks(truck, ChecksAt({true, 7, 2}, 9, {9})), IsOk());
+  }
+  const VehicleKey van = write_and_lose("van");
+  const auto storage = MustOpen(conninfo_);
+  ASSERT_THAT(storage->TakeVehicle("van"), IsOk());
+  EventRecord farewell;
+  farewell.payload = "farewell";
+  ASSERT_THAT(BlockingWrites(storage.get()).Delete(van, farewell), IsOk());
+  EXPECT_EQ(Sql("SELECT number, convert_from(payload, 'UTF8') FROM events "
+                "WHERE vehicle_key = " +
+                std::to_string(van) + " ORDER BY 1"),
+            "1|\n2|\n3|farewell\n");
+}
+
+// Such a dump holds events of transactions whose numbers are still to come.
+TEST_F(PostgresStorageTest, GivesUpEventsOfADumpThatWasRestoredElsewhere) {
+  const auto storage = MustOpen(conninfo_);
+  BlockingWrites write(storage.get());
+  const VehicleKey key = *write.Create("truck");
+  ASSERT_THAT(write.PutChecks(key, ChecksAt({}, 4, {1, 2})), IsOk());
+  ASSERT_TRUE(
+      Eventually([&] { return storage->ReadEvents({}, 9)->size() == 2; }));
+  const std::string shift =
+      "SET xid = (pg_current_xact_id()::text::bigint + 1000000)::text::xid8";
+  const std::string mark = Sql("SELECT * FROM dropped_events");
+  for (const char* table : {"events", "dropped_events"}) {
+    const auto before = storage->ReadEvents({}, 9);
+    const EventPosition last = *storage->LastEvent();
+    Sql(std::string("UPDATE ") + table + " " + shift);
+    const ChecksHead head = storage->GetVehicle("truck")->checks;
+    ASSERT_THAT(write.PutChecks(key, ChecksAt(head, 4, {3})), IsOk());
+    ASSERT_THAT(write.DropEvents(0, 9), IsOk());
+    // All are told once more to begin anew, and get what comes from then on.
+    EXPECT_THAT(storage->ReadEvents({}, 9),
+                IsError(StatusCode::kOutOfRange, "CURSOR_TOO_OLD", _));
+    EXPECT_THAT(storage->ReadEvents(last, 9),
+                IsError(StatusCode::kOutOfRange, _, _));
+    const EventPosition start = *storage->LastEvent();
+    ASSERT_THAT(
+        write.PutChecks(key,
+                        ChecksAt(storage->GetVehicle("truck")->checks, 4, {4})),
+        IsOk());
+    EXPECT_TRUE(Eventually([&] {
+      const auto events = storage->ReadEvents(start, 9);
+      return events.ok() && !events->empty() &&
+             events->back().number ==
+                 storage->GetVehicle("truck")->checks.last_event;
+    }));
+    // Nothing of a healthy database is given up.
+    const std::string kept = Sql("SELECT * FROM dropped_events");
+    EXPECT_NE(kept, mark);
+    ASSERT_THAT(write.DropEvents(0, 9), IsOk());
+    EXPECT_EQ(Sql("SELECT * FROM dropped_events"), kept);
+  }
+}
+
+TEST_F(PostgresStorageTest, ServersThatDropEventsAtATimeDropNoneTooMany) {
+  std::vector<std::unique_ptr<Storage>> servers;
+  for (int i = 0; i < 3; ++i) servers.push_back(MustOpen(conninfo_));
+  BlockingWrites write(servers[0].get());
+  const VehicleKey key = *write.Create("truck");
+  ChecksHead head;
+  for (std::uint64_t i = 1; i <= 60; ++i) {
+    const ChecksWrite step = ChecksAt(head, i, {i});
+    ASSERT_THAT(write.PutChecks(key, step), IsOk());
+    head = step.after;
+  }
+  ASSERT_TRUE(
+      Eventually([&] { return servers[0]->LastEvent()->number == 60; }));
+  const auto all = servers[0]->ReadEvents({}, 99);
+  std::vector<std::thread> threads;
+  for (const auto& server : servers) {
+    threads.emplace_back([&all, storage = server.get()] {
+      EventPosition cursor = (*all)[0].position;
+      for (int i = 0; i < 30; ++i) {
+        EXPECT_THAT(BlockingWrites(storage).DropEvents(505, 3), IsOk());
+        const auto events = storage->ReadEvents(cursor, 3);
+        if (!events.ok()) {
+          EXPECT_THAT(events,
+                      IsError(StatusCode::kOutOfRange, "CURSOR_TOO_OLD", _));
+          cursor = *storage->LastEvent();
+          continue;
+        }
+        for (const EventRecord& event : *events) {
+          EXPECT_EQ(event.number, cursor.number + 1);
+          cursor = event.position;
+        }
+      }
+    });
+  }
+  for (std::thread& thread : threads) thread.join();
+  EXPECT_EQ(Sql("SELECT (SELECT number FROM dropped_events), min(number), "
+                "count(*) FROM events"),
+            "50|51|10\n");
 }
 
 TEST_F(PostgresStorageTest, FindsAndGivesUpDamageOfDeletedPairs) {

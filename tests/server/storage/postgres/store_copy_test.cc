@@ -53,6 +53,9 @@ std::vector<std::string> Everything(Storage& storage) {
     }
     const auto deleted = storage.ListDeletedPairs(vehicle.key);
     for (const std::string& text : ToTexts(*deleted)) texts.push_back(text);
+    const auto checks =
+        storage.ListChecks(vehicle.key, 0, kLastSequence, false, 100'000);
+    for (const std::string& text : ToTexts(*checks)) texts.push_back(text);
   }
   return texts;
 }
@@ -114,6 +117,15 @@ class StoreCopyTest : public ::testing::Test {
           EXPECT_THAT(write.DeletePair(key, deleted, 700 + i), IsOk());
         }
       }
+      ChecksWrite checks;
+      checks.after = {*id != 'b', 350, 2};
+      for (std::uint64_t i = 1; i <= 300; ++i) {
+        checks.checks.push_back({i, 500, static_cast<std::uint32_t>(i % 3), 9,
+                                 std::string(i % 7, 'c')});
+      }
+      checks.events.resize(2);
+      for (EventRecord& event : checks.events) event.payload = "event";
+      EXPECT_THAT(write.PutChecks(key, checks), IsOk());
     }
     return storage;
   }
@@ -135,6 +147,7 @@ TEST_F(StoreCopyTest, CopiesAFileIntoADatabaseAndBackWithAllKeys) {
     EXPECT_EQ(copied->revised_batches, 60);
     EXPECT_EQ(copied->loop_closures, 81);
     EXPECT_EQ(copied->deleted_pairs, 18);
+    EXPECT_EQ(copied->checks, 900);
     const auto found = CheckDatabase(conninfo);
     ASSERT_THAT(found, IsOk());
     EXPECT_THAT(found->problems, IsEmpty());
@@ -170,6 +183,12 @@ TEST_F(StoreCopyTest, GoesOnWhereTheCopiedStoreEnded) {
   ASSERT_THAT(vehicle, IsOk());
   const std::uint64_t next = vehicle->durable_sequence + 1;
   EXPECT_THAT(write.Append(vehicle->key, {next, 1, 900, "x"}), IsOk());
+  ChecksWrite checks;
+  checks.before = vehicle->checks;
+  checks.after = {true, 400, 3};
+  checks.events.resize(1);
+  checks.events[0].payload = "third";
+  EXPECT_THAT(write.PutChecks(vehicle->key, checks), IsOk());
   const auto created = write.Create("new");
   ASSERT_THAT(created, IsOk());
   EXPECT_GT(*created, (*opened)->GetVehicle("empty")->key);
@@ -189,11 +208,11 @@ TEST_F(StoreCopyTest, TakesNothingIntoAStoreThatIsNotEmpty) {
                       HasSubstr("there is a store at")));
 }
 
-TEST_F(StoreCopyTest, TakesNothingIntoTablesThatHaveNoRoomForDeletedPairs) {
+TEST_F(StoreCopyTest, TakesNothingIntoTablesThatHaveNoRoomForChecks) {
   const std::string conninfo = PostgresServer::Shared()->MakeStore();
   PostgresServer::Shared()->Run(
       conninfo,
-      "DROP TABLE deleted_pose_pairs; UPDATE schema_version SET version = 4");
+      "DROP TABLE dropped_events; UPDATE schema_version SET version = 5");
   EXPECT_THAT(FillDatabase(conninfo),
               IsError(StatusCode::kFailedPrecondition, _,
                       HasSubstr("revisitd migrate")));

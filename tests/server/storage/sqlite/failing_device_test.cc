@@ -330,7 +330,7 @@ TEST_F(FailingDeviceTest, WithLittleRoomRowsAreRefusedAndDeletionsGoOn) {
   EXPECT_THAT(write().Delete(van), IsOk());
   device_.HoldLogFlush();
   const Answer<absl::Status> held;
-  storage_->DeleteVehicle(car, held.Setter());
+  storage_->DeleteVehicle(car, {}, held.Setter());
   device_.AwaitHeldLogFlush();
   // One group: a row of two, another write, a row of one.
   std::vector<Answer<absl::Status>> answers(4);
@@ -340,7 +340,7 @@ TEST_F(FailingDeviceTest, WithLittleRoomRowsAreRefusedAndDeletionsGoOn) {
               answers[1].Setter());
   AppendBatch(*storage_, key_, {4, 1, 5, "c"}, "changed", answers[2].Setter());
   const Answer<absl::Status> deleted;
-  storage_->DeleteVehicle(bus, deleted.Setter());
+  storage_->DeleteVehicle(bus, {}, deleted.Setter());
   AppendBatch(*storage_, key_, {5, 1, 6, "d"}, std::nullopt,
               answers[3].Setter());
   device_.LetLogFlushGo();

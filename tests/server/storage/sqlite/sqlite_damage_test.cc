@@ -238,6 +238,69 @@ TEST_F(SqliteStorageTest, FindsAndGivesUpDamageOfDeletedPairs) {
   }
 }
 
+TEST_F(SqliteStorageTest, FindsAndGivesUpDamageOfChecks) {
+  struct Case {
+    const char* damage;
+    // The head and the checks that are left.
+    const char* left;
+  };
+  for (const Case& one : {
+           Case{"UPDATE checks SET payload = 'x' WHERE sequence = 3", "5: b"},
+           Case{"UPDATE checks SET sequence = 4 WHERE sequence = 3", "5: b"},
+           Case{"UPDATE checks SET open_count = 0", ""},
+           Case{"UPDATE checks SET revision = 9 WHERE sequence = 5", "3: a"},
+           Case{"UPDATE check_heads SET checked_sequence = 2", "3: a 5: b"},
+           Case{"UPDATE check_heads SET last_event = 7", "3: a 5: b"},
+           Case{"UPDATE check_heads SET stores = 0", "3: a 5: b"},
+       }) {
+    SCOPED_TRACE(one.damage);
+    RemoveStore();
+    const VehicleKey key = MakeStore();
+    ChecksWrite checks;
+    checks.after = {true, 5, 1};
+    checks.checks = {{3, 7, 1, 1, "a"}, {5, 7, 1, 2, "b"}};
+    checks.events.emplace_back();
+    checks.events.back().payload = "told";
+    ASSERT_THAT(BlockingWrites(MustOpen(Path()).get()).PutChecks(key, checks),
+                IsOk());
+    RunSql(Path(), one.damage);
+    EXPECT_THAT(CheckStore(Path(), StoreUse::kIdle)->damaged_vehicles,
+                ElementsAre("truck"));
+    const std::unique_ptr<Storage> storage = MustOpen(Path());
+    ASSERT_THAT(BlockingWrites(storage.get()).DropDamaged(key, 6, "new", 30),
+                IsOk());
+    const auto record = storage->GetVehicle("truck");
+    EXPECT_THAT(record->damage, IsOk());
+    EXPECT_EQ(record->checks, (ChecksHead{true, 5, 1}));
+    std::string left;
+    const auto checks_left = storage->ListChecks(key, 1, 9, false, 9);
+    ASSERT_THAT(checks_left, IsOk());
+    for (const CheckRecord& check : *checks_left) {
+      EXPECT_THAT(check.damage, IsOk());
+      left += (left.empty() ? "" : " ") + std::to_string(check.sequence) +
+              ": " + check.payload;
+    }
+    EXPECT_EQ(left, one.left);
+  }
+}
+
+TEST_F(SqliteStorageTest, ReadsAnEventThatIsDamagedAsDamaged) {
+  const VehicleKey key = MakeStore();
+  ChecksWrite checks;
+  checks.after = {true, 5, 1};
+  checks.events.emplace_back();
+  checks.events.back().payload = "told";
+  ASSERT_THAT(BlockingWrites(MustOpen(Path()).get()).PutChecks(key, checks),
+              IsOk());
+  RunSql(Path(), "UPDATE events SET payload = 'lied'");
+  const auto events = MustOpen(Path())->ReadEvents({}, 9);
+  ASSERT_THAT(events, IsOk());
+  ASSERT_EQ(events->size(), 1u);
+  EXPECT_THAT(events->front().damage,
+              IsError(StatusCode::kDataLoss, "STORE_CORRUPT", _));
+  EXPECT_EQ(events->front().payload, "");
+}
+
 TEST_F(SqliteStorageTest, FindsPairThatEndedUpInTheTableOfAnotherKind) {
   const VehicleKey key = MakeStore();
   RunSql(Path(), "INSERT INTO rejected_candidates SELECT * FROM loop_closures");

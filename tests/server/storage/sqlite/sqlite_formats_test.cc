@@ -19,11 +19,11 @@ using ::testing::IsEmpty;
 
 TEST_F(SqliteStorageTest, RefusesNewerFormat) {
   MakeStore();
-  RunSql(Path(), "PRAGMA user_version = 7");
+  RunSql(Path(), "PRAGMA user_version = 8");
   EXPECT_THAT(OpenSqliteStorage(Path()),
               IsError(StatusCode::kFailedPrecondition, "",
-                      AllOf(HasSubstr("has format 7"),
-                            HasSubstr("this server reads formats 4 to 6"),
+                      AllOf(HasSubstr("has format 8"),
+                            HasSubstr("this server reads formats 4 to 7"),
                             HasSubstr("use a newer server"))));
 }
 
@@ -33,7 +33,7 @@ TEST_F(SqliteStorageTest, RefusesFormatThatWasNeverReleased) {
   EXPECT_THAT(OpenSqliteStorage(Path()),
               IsError(StatusCode::kFailedPrecondition, "",
                       AllOf(HasSubstr("has format 3"),
-                            HasSubstr("this server reads formats 4 to 6"))));
+                            HasSubstr("this server reads formats 4 to 7"))));
 }
 
 TEST_F(SqliteStorageTest, RefusesFileOfAnotherProgramAndLeavesItAsItIs) {
@@ -53,7 +53,7 @@ TEST_F(SqliteStorageTest, RefusesFileThatIsNoDatabase) {
                       HasSubstr("is not a store of revisit")));
 }
 
-TEST_F(SqliteStorageTest, WritesFormat6) {
+TEST_F(SqliteStorageTest, WritesFormat7) {
   // Golden: a change here is a new format. The checksums were printed by this
   // program once; record_checksum.h says what they are made of.
   const VehicleKey key = MakeStore();
@@ -67,50 +67,113 @@ TEST_F(SqliteStorageTest, WritesFormat6) {
     BlockingWrites write(storage.get());
     ASSERT_THAT(write.AddPair(key, deleted.kind, deleted.pair, 7), IsOk());
     ASSERT_THAT(write.DeletePair(key, deleted, 7), IsOk());
+    ChecksWrite checks;
+    checks.after = {true, 5, 1};
+    checks.checks.push_back({4, 7, 2, 103, "found"});
+    checks.events.emplace_back();
+    checks.events.back().time_ns = 104;
+    checks.events.back().payload = "told";
+    ASSERT_THAT(write.PutChecks(key, checks), IsOk());
   }
   EXPECT_EQ(RunSql(Path(), "PRAGMA application_id; PRAGMA user_version"),
-            "1381389140\n6\n");
+            "1381389140\n7\n");
   EXPECT_EQ(RunSql(Path(), "PRAGMA journal_mode"), "wal\n");
   EXPECT_EQ(RunSql(Path(), "PRAGMA page_size"), "8192\n");
   EXPECT_EQ(RunSql(Path(),
                    "SELECT name FROM sqlite_schema WHERE type = "
                    "'table' ORDER BY name"),
-            "batches\ndeleted_pose_pairs\ndeleted_snapshots\n"
-            "deleted_vehicles\nloop_closures\n"
+            "batches\ncheck_heads\nchecks\ndeleted_pose_pairs\n"
+            "deleted_snapshots\ndeleted_vehicles\ndropped_events\nevents\n"
+            "loop_closures\n"
             "rejected_candidates\nrevised_batches\nsnapshot_parts\nsnapshots\n"
             "sqlite_sequence\nstore\nvehicles\n");
   EXPECT_EQ(RunSql(Path(),
                    "SELECT key, id, format, revision, checksum, "
                    "payload FROM vehicles"),
-            "1|truck|6|7|-378043371729410139|payload\n");
+            "1|truck|7|7|8067135607144566699|payload\n");
   EXPECT_EQ(RunSql(Path(), "PRAGMA auto_vacuum"), "2\n");
   // Where store_state.h says that it stands; of the rest only the number of the
   // commit, the creation's included, and that it was the last are known.
   EXPECT_EQ(RunSql(Path(),
                    "SELECT key, substr(state, 1, 8), hex(substr(state, 25, "
                    "8)), hex(substr(state, 49, 8)), length(state) FROM store"),
-            "1|RVSTATE3|0C00000000000000|0100000000000000|64\n");
+            "1|RVSTATE3|0D00000000000000|0100000000000000|64\n");
   const std::string batch =
       "SELECT vehicle_key, first_sequence, count, format, revision, checksum, "
       "payload FROM ";
   EXPECT_EQ(RunSql(Path(), batch + "batches"),
-            "1|1|2|6|2|1663941130652305546|alpha\n"
-            "1|3|2|6|3|4802856297871863142|beta\n"
-            "1|5|2|6|4|4734102177889975241|gamma\n");
+            "1|1|2|7|2|7290557504945994731|alpha\n"
+            "1|3|2|7|3|-181780734265261|beta\n"
+            "1|5|2|7|4|-9143034401239332841|gamma\n");
   EXPECT_EQ(RunSql(Path(), batch + "revised_batches"),
-            "1|5|2|6|5|-7756420075551789252|GAMMA\n");
+            "1|5|2|7|5|-2852123500478967986|GAMMA\n");
   const std::string pair =
       "SELECT vehicle_key, id, format, query_sequence, matched_sequence, "
       "create_time_ns, checksum, payload FROM ";
   EXPECT_EQ(RunSql(Path(), pair + "loop_closures"),
-            "1|link|6|6|1|99|-8944790561869085503|measured\n");
+            "1|link|7|6|1|99|1321652235935153537|measured\n");
   EXPECT_EQ(RunSql(Path(), pair + "rejected_candidates"),
-            "1|no|6|6|2|100|5282240857298780020|\n");
+            "1|no|7|6|2|100|-3324854010670219591|\n");
   EXPECT_EQ(RunSql(Path(),
                    "SELECT vehicle_key, number, kind, id, format, "
                    "query_sequence, matched_sequence, create_time_ns, "
                    "delete_time_ns, checksum, payload FROM deleted_pose_pairs"),
-            "1|1|2|gone|6|5|2|101|102|-2133251583030350011|said\n");
+            "1|1|2|gone|7|5|2|101|102|-840474456291616111|said\n");
+  EXPECT_EQ(RunSql(Path(),
+                   "SELECT vehicle_key, format, stores, checked_sequence, "
+                   "last_event, checksum FROM check_heads"),
+            "1|7|1|5|1|-2795717603036496514\n");
+  EXPECT_EQ(RunSql(Path(),
+                   "SELECT vehicle_key, sequence, format, revision, "
+                   "open_count, create_time_ns, checksum, payload FROM checks"),
+            "1|4|7|7|2|103|8600194132355620325|found\n");
+  EXPECT_EQ(RunSql(Path(),
+                   "SELECT id, vehicle_key, number, format, time_ns, checksum, "
+                   "payload FROM events"),
+            "1|1|1|7|104|3253796386637939862|told\n");
+}
+
+// Takes away the tables that came with format 7.
+constexpr char kWithoutChecks[] = R"sql(
+DROP TABLE check_heads;
+DROP TABLE checks;
+DROP TABLE events;
+DROP TABLE dropped_events;
+)sql";
+
+// Makes the store of MakeStore() what a server of format 6 left: the same, but
+// for checks. The checksums are those that such a server wrote.
+constexpr char kToFormat6[] = R"sql(
+UPDATE vehicles SET format = 6, checksum = -378043371729410139;
+UPDATE batches SET format = 6, checksum = 1663941130652305546
+  WHERE first_sequence = 1;
+UPDATE batches SET format = 6, checksum = 4802856297871863142
+  WHERE first_sequence = 3;
+UPDATE batches SET format = 6, checksum = 4734102177889975241
+  WHERE first_sequence = 5;
+UPDATE revised_batches SET format = 6, checksum = -7756420075551789252;
+UPDATE loop_closures SET format = 6, checksum = -8944790561869085503;
+UPDATE rejected_candidates SET format = 6, checksum = 5282240857298780020;
+PRAGMA user_version = 6;
+)sql";
+
+TEST_F(SqliteStorageTest, StoreOfFormat6OpensAndStoresChecksFromThenOn) {
+  MakeStore();
+  RunSql(Path(), std::string(kWithoutChecks) + kToFormat6);
+  {
+    const std::unique_ptr<Storage> storage = MustOpen(Path());
+    BlockingWrites write(storage.get());
+    EXPECT_EQ(ToText(*storage->GetVehicle("truck")),
+              "truck 1: 1 closures, 1 rejected, to 6, revision 7, 'payload'");
+    EXPECT_THAT(*storage->ListChecks(1, 1, 9, false, 9), IsEmpty());
+    EXPECT_THAT(*storage->ReadEvents({}, 9), IsEmpty());
+    ChecksWrite checks;
+    checks.after = {true, 6, 0};
+    EXPECT_THAT(write.PutChecks(1, checks), IsOk());
+  }
+  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "7\n");
+  EXPECT_EQ(MustOpen(Path())->GetVehicle("truck")->checks,
+            (ChecksHead{true, 6, 0}));
 }
 
 // Makes the store of MakeStore() what a server of format 5 left: the same, but
@@ -132,7 +195,7 @@ PRAGMA user_version = 5;
 
 TEST_F(SqliteStorageTest, StoreOfFormat5OpensAndKeepsWhatIsDeletedFromThenOn) {
   MakeStore();
-  RunSql(Path(), kToFormat5);
+  RunSql(Path(), std::string(kWithoutChecks) + kToFormat5);
   {
     const std::unique_ptr<Storage> storage = MustOpen(Path());
     EXPECT_EQ(ToText(*storage->GetVehicle("truck")),
@@ -145,7 +208,7 @@ TEST_F(SqliteStorageTest, StoreOfFormat5OpensAndKeepsWhatIsDeletedFromThenOn) {
     BlockingWrites write(storage.get());
     EXPECT_THAT(write.DeletePair(1, PairKind::kLoopClosure, "link", 8), IsOk());
   }
-  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "6\n");
+  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "7\n");
   EXPECT_EQ(MustOpen(Path())->ListDeletedPairs(1)->size(), 1u);
 }
 
@@ -172,7 +235,7 @@ PRAGMA user_version = 4;
 
 TEST_F(SqliteStorageTest, StoreOfFormat4OpensAndGainsSnapshots) {
   MakeStore();
-  RunSql(Path(), kToFormat4);
+  RunSql(Path(), std::string(kWithoutChecks) + kToFormat4);
   {
     const std::unique_ptr<Storage> storage = MustOpen(Path());
     BlockingWrites write(storage.get());
@@ -187,7 +250,7 @@ TEST_F(SqliteStorageTest, StoreOfFormat4OpensAndGainsSnapshots) {
     EXPECT_THAT(write.PutSnapshot(1, {6, 1, "rest"}), IsOk());
     EXPECT_THAT(*storage->ListDeletedPairs(1), IsEmpty());
   }
-  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "6\n");
+  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "7\n");
   EXPECT_EQ(RunSql(Path(), "SELECT format, count(*) FROM batches GROUP BY 1"),
             "4|3\n");
   EXPECT_EQ(SnapshotOf(*MustOpen(Path()), 1), "to 6: part, 'rest'");
@@ -196,7 +259,7 @@ TEST_F(SqliteStorageTest, StoreOfFormat4OpensAndGainsSnapshots) {
 TEST_F(SqliteStorageTest,
        StoreOfFormat4StaysAsItIsIfItCannotBeBroughtUpToDate) {
   MakeStore();
-  RunSql(Path(), kToFormat4);
+  RunSql(Path(), std::string(kWithoutChecks) + kToFormat4);
   // The name is taken, which is as good a failure as any.
   RunSql(Path(), "CREATE TABLE snapshot_parts (mine INTEGER)");
   EXPECT_THAT(OpenSqliteStorage(Path()),

@@ -1,0 +1,71 @@
+// Stored checks and their events: as bytes in the store, and as messages.
+#ifndef REVISIT_SERVER_CONVERSION_STORED_CHECKS_CODEC_H_
+#define REVISIT_SERVER_CONVERSION_STORED_CHECKS_CODEC_H_
+
+#include <cstddef>
+#include <cstdint>
+#include <set>
+#include <string>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "revisit/v1/check.pb.h"
+#include "revisit/v1/pose_graph_service.pb.h"
+#include "server/fields/field_violations.h"
+#include "server/sessions/check_codec.h"
+#include "server/storage/records.h"
+
+namespace revisit::server {
+
+class ProtoCheckCodec final : public CheckCodec {
+ public:
+  std::string EncodeFound(const VehicleView& view,
+                          const core::CandidateSet& set,
+                          std::chrono::nanoseconds duration) const override;
+  std::string EncodeCheck(const StoredCheck& check) const override;
+  absl::StatusOr<StoredCheck> DecodeCheck(
+      const std::string& payload) const override;
+  std::string EncodeEvent(const EventOrigin& origin,
+                          std::uint64_t check_sequence,
+                          const StoredCheck& check,
+                          std::size_t index) const override;
+  std::string EncodeFarewell(const EventOrigin& origin) const override;
+};
+
+// A check of a vehicle as it is stored. DATA_LOSS (STORE_CORRUPT) if it is
+// damaged.
+absl::Status EncodeCheck(const std::string& vehicle_id,
+                         const CheckRecord& record, v1::Check* message);
+
+// An event as it is stored, without its cursor. DATA_LOSS (STORE_CORRUPT) if
+// its payload is not that of an event.
+absl::Status EncodeEvent(const EventRecord& record,
+                         v1::WatchCandidatesResponse* message);
+
+// Which candidates a caller wants.
+struct CandidateFilter {
+  // Ids; empty: any.
+  std::set<std::string> vehicles;
+  std::set<v1::CandidateState> states;
+  std::set<v1::Verdict> verdicts;
+  double least_probability = 0.0;
+};
+// INVALID_ARGUMENT if the message is none.
+absl::StatusOr<CandidateFilter> DecodeFilter(const v1::CandidateFilter& message,
+                                             const FieldPath& path);
+// Whether a candidate in this state, with this evidence, is wanted: all but its
+// vehicle.
+bool Matches(const CandidateFilter& filter, v1::CandidateState state,
+             const v1::Candidate& evidence);
+// Whether any candidate of the check is wanted.
+bool Matches(const CandidateFilter& filter, const v1::Check& check);
+
+// Cursors are sealed as page tokens are (page_token.h).
+std::string MakeCursor(const EventPosition& position);
+// INVALID_ARGUMENT (INVALID_CURSOR) if no server made it.
+absl::StatusOr<EventPosition> ParseCursor(const std::string& cursor,
+                                          const FieldPath& path);
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_CONVERSION_STORED_CHECKS_CODEC_H_

@@ -1,0 +1,203 @@
+#include "server/feed/event_feed.h"
+
+#include <pthread.h>
+
+#include <algorithm>
+#include <tuple>
+#include <utility>
+
+#include "server/base/metrics.h"
+#include "server/conversion/stored_checks_codec.h"
+#include "server/storage/storage.h"
+
+namespace revisit::server {
+namespace {
+
+constexpr int kEventsPerRead = 500;
+
+bool IsBefore(const EventPosition& a, const EventPosition& b) {
+  return std::tie(a.order, a.key, a.number) <
+         std::tie(b.order, b.key, b.number);
+}
+
+// The id in vehicles/{vehicle}, or at the beginning of a longer name.
+std::string IdIn(const std::string& name) {
+  const std::size_t begin = name.find('/') + 1;
+  return name.substr(begin, name.find('/', begin) - begin);
+}
+
+FeedEventPtr Decode(const EventRecord& record) {
+  auto event = std::make_shared<FeedEvent>();
+  event->position = record.position;
+  event->bytes = record.payload.size() + sizeof(FeedEvent);
+  if (record.payload.empty() || !EncodeEvent(record, &event->message).ok()) {
+    event->message.Clear();
+    return event;
+  }
+  event->vehicle_id = IdIn(event->message.has_vehicle_deleted()
+                               ? event->message.vehicle_deleted().vehicle()
+                               : event->message.candidate().check());
+  return event;
+}
+
+}  // namespace
+
+EventFeed::EventFeed(Storage* storage, const Options& options)
+    : storage_(storage), options_(options), thread_([this] { Run(); }) {
+  pthread_setname_np(thread_.native_handle(), "event-feed");
+}
+
+EventFeed::~EventFeed() {
+  {
+    const MutexLock lock(&mutex_);
+    stopping_ = true;
+    changed_.NotifyAll();
+  }
+  thread_.join();
+}
+
+EventFeed::WatchId EventFeed::Watch(std::function<void()> look) {
+  const MutexLock lock(&mutex_);
+  const WatchId id = ++last_id_;
+  watches_.emplace(id,
+                   std::make_shared<std::function<void()>>(std::move(look)));
+  changed_.NotifyAll();
+  return id;
+}
+
+void EventFeed::Unwatch(WatchId id) {
+  const MutexLock lock(&mutex_);
+  watches_.erase(id);
+}
+
+void EventFeed::Run() {
+  while (true) {
+    {
+      MutexLock lock(&mutex_);
+      while (!stopping_ && watches_.empty()) {
+        // What comes while nobody watches is not read.
+        begin_.reset();
+        events_.clear();
+        bytes_ = 0;
+        changed_.Wait(&mutex_);
+      }
+      if (stopping_) return;
+    }
+    const bool may_have_more = ReadOn();
+    CallWatches();
+    if (may_have_more) continue;
+    const auto until = std::chrono::steady_clock::now() + options_.period;
+    MutexLock lock(&mutex_);
+    while (!stopping_ && std::chrono::steady_clock::now() < until) {
+      changed_.WaitUntil(&mutex_, until);
+    }
+  }
+}
+
+bool EventFeed::ReadOn() {
+  bool is_known = false;
+  EventPosition end;
+  {
+    const MutexLock lock(&mutex_);
+    is_known = begin_.has_value();
+    end = end_;
+  }
+  if (!is_known) {
+    const absl::StatusOr<EventPosition> last = storage_->LastEvent();
+    if (!last.ok()) return false;
+    const MutexLock lock(&mutex_);
+    begin_ = end_ = *last;
+    return false;
+  }
+  const auto records = storage_->ReadEvents(end, kEventsPerRead);
+  if (absl::IsOutOfRange(records.status())) {
+    // The store is another one than before, or was long out of reach: whoever
+    // watches finds out by its own cursor.
+    const MutexLock lock(&mutex_);
+    begin_.reset();
+    events_.clear();
+    bytes_ = 0;
+    return true;
+  }
+  if (!records.ok() || records->empty()) return false;
+  const std::int64_t now_ns =
+      std::chrono::duration_cast<std::chrono::nanoseconds>(
+          std::chrono::system_clock::now().time_since_epoch())
+          .count();
+  std::vector<FeedEventPtr> decoded;
+  for (const EventRecord& record : *records) {
+    decoded.push_back(Decode(record));
+    delay_.Observe(static_cast<double>(now_ns - record.time_ns) / 1e9);
+  }
+  const MutexLock lock(&mutex_);
+  for (FeedEventPtr& event : decoded) {
+    bytes_ += event->bytes;
+    end_ = event->position;
+    events_.push_back(std::move(event));
+  }
+  while (bytes_ > options_.most_bytes && events_.size() > 1) {
+    bytes_ -= events_.front()->bytes;
+    begin_ = events_.front()->position;
+    events_.pop_front();
+  }
+  return static_cast<int>(records->size()) == kEventsPerRead;
+}
+
+void EventFeed::CallWatches() {
+  WatchId last = 0;
+  while (true) {
+    std::shared_ptr<std::function<void()>> look;
+    {
+      const MutexLock lock(&mutex_);
+      const auto next = watches_.upper_bound(last);
+      if (next == watches_.end()) return;
+      last = next->first;
+      look = next->second;
+    }
+    (*look)();
+  }
+}
+
+std::optional<std::vector<FeedEventPtr>> EventFeed::Newest(
+    const EventPosition& after, int most) const {
+  const MutexLock lock(&mutex_);
+  if (!begin_ || IsBefore(after, *begin_)) return std::nullopt;
+  auto next = std::upper_bound(
+      events_.begin(), events_.end(), after,
+      [](const EventPosition& position, const FeedEventPtr& event) {
+        return IsBefore(position, event->position);
+      });
+  std::vector<FeedEventPtr> found;
+  for (; next != events_.end() && static_cast<int>(found.size()) < most;
+       ++next) {
+    found.push_back(*next);
+  }
+  return found;
+}
+
+absl::StatusOr<std::vector<FeedEventPtr>> EventFeed::Read(
+    const EventPosition& after, int most) const {
+  const auto records = storage_->ReadEvents(after, most);
+  if (!records.ok()) return records.status();
+  std::vector<FeedEventPtr> events;
+  for (const EventRecord& record : *records) events.push_back(Decode(record));
+  return events;
+}
+
+void EventFeed::CollectMetrics(Metrics* metrics) const {
+  std::int64_t watches = 0;
+  {
+    const MutexLock lock(&mutex_);
+    watches = static_cast<std::int64_t>(watches_.size());
+  }
+  metrics
+      ->Gauge("revisit_watches", "Calls of WatchCandidates that are under way.")
+      .Add(watches);
+  metrics
+      ->Histogram("revisit_feed_delay_seconds",
+                  "Time from when an event was written until this server read "
+                  "it for those who watch.")
+      .Add(delay_.Read());
+}
+
+}  // namespace revisit::server

@@ -1,0 +1,605 @@
+#include "server/sessions/stored_checks.h"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "core/drive/node_range.h"
+#include "core/drive/pose_graph.h"
+#include "core/search/candidates/candidate.h"
+#include "core/search/search.h"
+#include "server/base/status.h"
+#include "server/storage/storage.h"
+
+namespace revisit::server {
+namespace {
+
+using absl::StatusCode;
+using absl::StrCat;
+
+// The searches of debts are one flow beside those of all callers, so that they
+// take one share of the threads of searches, however many vehicles owe some.
+constexpr char kFlow[] = "stored checks";
+// How often a turn gives way to other work of the vehicle. After that it holds
+// that work up by itself once, as the checks of a stream do.
+constexpr int kMostGivenWay = 3;
+// Checks that are made ahead of their write.
+constexpr std::size_t kMostMade = 64;
+// Acknowledgements that are remembered to measure the delay of their checks.
+constexpr std::size_t kMostLanded = 256;
+constexpr int kChecksPerRead = 1000;
+// Checks that are looked at in one step for whether they are still kept.
+constexpr int kChecksPerTidy = 200;
+
+// The pose with which a node came.
+std::uint64_t PoseOf(const core::PoseGraph& graph, core::NodeIndex index) {
+  const core::Node node = graph.node(index);
+  return node.sequence + (node.fraction > 0.0 ? 1 : 0);
+}
+
+// Whether a candidate is worth keeping. Of alignments that know no probability,
+// those are which pass.
+bool IsWorthKeeping(const core::Candidate& candidate, double probability) {
+  return candidate.relative ? candidate.relative->probability >= probability
+                            : candidate.verdict == core::Verdict::kAccepted;
+}
+
+}  // namespace
+
+absl::Status StoredChecks::CheckNotFound(const std::string& vehicle_id,
+                                         const CandidateId& named) {
+  return Error(
+      StatusCode::kNotFound, "CHECK_NOT_FOUND",
+      StrCat("vehicle '", vehicle_id, "' has no stored candidate ",
+             named.number, " of a check at sequence ", named.check_sequence));
+}
+
+bool StoredChecks::Stores() const {
+  return policy_.codec != nullptr &&
+         vehicle_->head.config().checks == ChecksKept::kStored;
+}
+
+// Whether checks may be made and written at all.
+bool StoredChecks::IsAtWork() const {
+  return policy_.codec != nullptr && !vehicle_->gone_status() &&
+         vehicle_->loaded && vehicle_->Writable().ok();
+}
+
+void StoredChecks::NoteDebt(std::int64_t debt) {
+  if (debt == debt_.load()) return;
+  const std::int64_t before = debt_.exchange(debt);
+  if (policy_.monitor != nullptr) policy_.monitor->Owes(debt - before);
+  vehicle_->owes_checks = debt > 0;
+}
+
+void StoredChecks::NoteLanded() {
+  const std::uint64_t durable = vehicle_->head.durable_sequence();
+  if (landed_.size() < kMostLanded &&
+      (landed_.empty() || landed_.back().sequence < durable)) {
+    landed_.push_back({durable, std::chrono::steady_clock::now()});
+  }
+}
+
+void StoredChecks::Consider() {
+  const ChecksHead& head = vehicle_->head.checks();
+  // Most vehicles never had to do with stored checks, and come by with every
+  // append.
+  if (!Stores() && head == ChecksHead() && made_.empty()) return;
+  if (!IsAtWork()) return;
+  TidySoon();
+  if (!Stores()) {
+    made_.clear();
+    landed_.clear();
+    NoteDebt(0);
+    is_unsettled_.store(false);
+    // What was owed is so no longer, and the store has to know.
+    if (head.stores) WriteSoon();
+    return;
+  }
+  DropStored();
+  const std::optional<core::DueCheck> due =
+      vehicle_->loaded->NextCheck(made_to_);
+  NoteDebt(vehicle_->loaded->ChecksBehind(made_to_) +
+           static_cast<std::int64_t>(made_.size()));
+  is_unsettled_.store(!due && made_.empty() && !failed_ &&
+                      head.checked_sequence <
+                          vehicle_->head.durable_sequence());
+  if (due) NoteLanded();
+  if (!made_.empty() || !head.stores) WriteSoon();
+  if (!due || searching_ || made_.size() >= kMostMade) return;
+  searching_ = true;
+  queue_->PostSearch(kFlow, [this] { TakeTurn(); });
+}
+
+void StoredChecks::TakeTurn() {
+  searching_ = false;
+  if (!IsAtWork() || !Stores()) return;
+  const std::optional<core::DueCheck> due =
+      vehicle_->loaded->NextCheck(made_to_);
+  if (!due) {
+    Consider();
+    return;
+  }
+  if (due->sequence != due_.sequence || due->node != due_.node ||
+      series_ != vehicle_->loaded.series()) {
+    due_ = *due;
+    series_ = vehicle_->loaded.series();
+    search_ = SearchTurns();
+    gave_way_ = 0;
+  }
+  core::SearchOptions options = vehicle_->head.config().drive.search;
+  options.max_comparisons = policy_.max_search_steps;
+  const bool gives_way = gave_way_ < kMostGivenWay;
+  const auto answer = search_.Take(vehicle_->View(), due_.node, options, [&] {
+    return gives_way && queue_->IsWanted();
+  });
+  if (!answer) {
+    gave_way_ = 0;
+  } else if (answer->ok()) {
+    Take(**answer);
+  } else {
+    // It gave way, or has searched as many marks as one search may: the next
+    // one goes on behind them.
+    ++gave_way_;
+    search_ = SearchTurns();
+  }
+  Consider();
+}
+
+void StoredChecks::Take(const core::CandidateSet& set) {
+  const core::PoseGraph& graph = vehicle_->loaded->graph();
+  const double keep = vehicle_->head.config().keep_probability;
+  Made made;
+  made.sequence = due_.sequence;
+  made.revision = vehicle_->head.revision();
+  for (const core::Candidate& candidate : set.candidates) {
+    if (!IsWorthKeeping(candidate, keep)) continue;
+    StoredCandidate& kept = made.check.candidates.emplace_back();
+    kept.number = static_cast<std::uint32_t>(made.check.candidates.size());
+    kept.rank = candidate.rank;
+    kept.matched_sequence = PoseOf(graph, candidate.matched);
+  }
+  if (policy_.monitor != nullptr) {
+    policy_.monitor->Made(made.check.candidates.size());
+  }
+  if (!made.check.candidates.empty()) {
+    made.check.found =
+        policy_.codec->EncodeFound(vehicle_->View(), set, search_.all_turns());
+  }
+  made_to_ = made.sequence;
+  made_.push_back(std::move(made));
+  search_ = SearchTurns();
+  gave_way_ = 0;
+}
+
+void StoredChecks::DropStored() {
+  const std::uint64_t stored = vehicle_->head.checks().checked_sequence;
+  made_.erase(made_.begin(),
+              std::find_if(made_.begin(), made_.end(), [&](const Made& made) {
+                return made.sequence > stored;
+              }));
+  // Also back, where poses were given up.
+  made_to_ = made_.empty() ? stored : made_.back().sequence;
+  while (!landed_.empty() && landed_.front().sequence <= stored) {
+    landed_.pop_front();
+  }
+}
+
+void StoredChecks::WriteSoon() {
+  if (writing_) return;
+  writing_ = true;
+  // After a write of unknown fate, once nothing else is under way, since the
+  // store is then asked what it has.
+  const Turn turn = failed_ ? Turn::kAlone : Turn::kAppend;
+  queue_->PushBack({turn, [this](const absl::Status& status) {
+                      if (status.ok() && IsAtWork()) {
+                        Write();
+                        return;
+                      }
+                      writing_ = false;
+                      for (const auto& then : std::exchange(settled_, {})) {
+                        then();
+                      }
+                    }});
+  queue_->PumpLater();
+}
+
+void StoredChecks::Write() {
+  DropStored();
+  ChecksWrite write = MakeWrite();
+  const ChecksHead after = write.after;
+  if (after == write.before && write.checks.empty()) {
+    writing_ = false;
+    for (const auto& then : std::exchange(settled_, {})) then();
+    return;
+  }
+  in_flight_->Add();
+  vehicle_->storage->PutChecks(
+      vehicle_->head.key(), std::move(write),
+      queue_->OnStrand([this, after](const absl::Status& status) {
+        TakeResult(after, status);
+      }));
+}
+
+ChecksWrite StoredChecks::MakeWrite() {
+  ChecksWrite write;
+  write.before = vehicle_->head.checks();
+  write.after = write.before;
+  write.after.stores = Stores();
+  for (const Made& made : made_) {
+    write.after.checked_sequence = made.sequence;
+    if (made.check.candidates.empty()) continue;
+    StoredCheck check = made.check;
+    check.vehicle_uid = vehicle_->head.config().uid;
+    const std::int64_t now_ns = vehicle_->clock();
+    for (StoredCandidate& candidate : check.candidates) {
+      candidate.update_time_ns = now_ns;
+      candidate.event_number = ++write.after.last_event;
+      Decide(made.sequence, &candidate);
+    }
+    for (std::size_t i = 0; i < check.candidates.size(); ++i) {
+      write.events.push_back(EventOf(made.sequence, check, i));
+    }
+    CheckRecord& record = write.checks.emplace_back();
+    record.sequence = made.sequence;
+    record.revision = made.revision;
+    record.open_count = OpenCount(check);
+    record.create_time_ns = now_ns;
+    record.payload = policy_.codec->EncodeCheck(check);
+  }
+  if (Stores() && !vehicle_->loaded->NextCheck(made_to_)) {
+    write.after.checked_sequence = vehicle_->head.durable_sequence();
+  }
+  return write;
+}
+
+void StoredChecks::TakeResult(const ChecksHead& after,
+                              const absl::Status& status) {
+  in_flight_->Remove();
+  writing_ = false;
+  failed_ = !status.ok();
+  if (status.ok()) {
+    vehicle_->head.set_checks(after);
+    if (policy_.monitor != nullptr) {
+      const auto now = std::chrono::steady_clock::now();
+      for (const Made& made : made_) {
+        if (made.sequence > after.checked_sequence) break;
+        const auto landed = std::find_if(
+            landed_.begin(), landed_.end(),
+            [&](const Landed& one) { return one.sequence >= made.sequence; });
+        if (landed != landed_.end()) {
+          policy_.monitor->Stored(now - landed->time);
+        }
+      }
+    }
+  } else {
+    // Store and memory are compared before the next write.
+    vehicle_->NoteFailedWrite(status);
+  }
+  for (const auto& then : std::exchange(settled_, {})) then();
+  queue_->Pump();
+  // A write that failed is made again when something else happens, or the
+  // vehicles that owe checks are looked for (Fleet::PayChecks()).
+  if (status.ok()) Consider();
+}
+
+void StoredChecks::Settle(std::function<void()> then) {
+  Consider();
+  if (!is_unsettled() && !writing_) {
+    then();
+    return;
+  }
+  settled_.push_back(std::move(then));
+  WriteSoon();
+}
+
+// ---- What is kept
+
+void StoredChecks::TidySoon() {
+  const auto now = std::chrono::steady_clock::now();
+  if (tidying_ || !HasCandidates() || (tidy_from_ == 0 && now < next_tidy_)) {
+    return;
+  }
+  tidying_ = true;
+  next_tidy_ = now + policy_.tidy_period;
+  queue_->PushBack({Turn::kAlone, [this](const absl::Status& status) {
+                      if (!status.ok() || !IsAtWork()) {
+                        tidying_ = false;
+                        return;
+                      }
+                      queue_->Hold();
+                      queue_->PostLong([this] { Tidy(); });
+                    }});
+  queue_->PumpLater();
+}
+
+void StoredChecks::Tidy() {
+  absl::StatusOr<ChecksWrite> write = FindOld();
+  if (!write.ok() || write->removed.empty()) {
+    tidying_ = false;
+    if (!write.ok()) tidy_from_ = 0;
+    queue_->Release([] {});
+    if (tidy_from_ != 0) TidySoon();
+    return;
+  }
+  const ChecksHead after = write->after;
+  vehicle_->storage->PutChecks(
+      vehicle_->head.key(), *std::move(write),
+      queue_->OnStrand([this, after](const absl::Status& status) {
+        tidying_ = false;
+        if (status.ok()) {
+          vehicle_->head.set_checks(after);
+        } else {
+          vehicle_->NoteFailedWrite(status);
+          tidy_from_ = 0;
+        }
+        queue_->Release([] {});
+        if (tidy_from_ != 0) TidySoon();
+      }));
+}
+
+absl::StatusOr<ChecksWrite> StoredChecks::FindOld() {
+  Storage* const storage = vehicle_->storage;
+  const VehicleKey key = vehicle_->head.key();
+  ChecksWrite write;
+  write.before = write.after = vehicle_->head.checks();
+  if (tidy_from_ == 0) {
+    tidy_from_ = 1;
+    tidy_excess_ = 0;
+    // Each check has had an event, so that most vehicles have fewer.
+    std::uint64_t count = 0;
+    for (std::uint64_t first = 0;
+         write.before.last_event > policy_.most_checks;) {
+      const auto page =
+          storage->ListChecks(key, first, kLastSequence, false, kChecksPerRead);
+      if (!page.ok()) return page.status();
+      count += page->size();
+      if (static_cast<int>(page->size()) < kChecksPerRead) break;
+      first = page->back().sequence + 1;
+    }
+    if (count > policy_.most_checks) tidy_excess_ = count - policy_.most_checks;
+  }
+  const auto page = storage->ListChecks(key, tidy_from_, kLastSequence, false,
+                                        kChecksPerTidy);
+  if (!page.ok()) return page.status();
+  tidy_from_ = static_cast<int>(page->size()) < kChecksPerTidy
+                   ? 0
+                   : page->back().sequence + 1;
+  const std::int64_t now_ns = vehicle_->clock();
+  const auto before = [now_ns](std::chrono::hours kept) {
+    return now_ns - std::chrono::nanoseconds(kept).count();
+  };
+  const Transition withdrawn{CandidateState::kWithdrawn,
+                             CandidateCause::kRetention, "", now_ns, ""};
+  for (const CheckRecord& record : *page) {
+    if (!record.damage.ok()) continue;
+    const bool is_old =
+        record.create_time_ns <
+        before(record.open_count > 0 ? kOpenKept : kDecidedKept);
+    if (!is_old && tidy_excess_ == 0) continue;
+    if (tidy_excess_ > 0) --tidy_excess_;
+    write.removed.push_back(record.sequence);
+    absl::StatusOr<StoredCheck> check =
+        policy_.codec->DecodeCheck(record.payload);
+    if (!check.ok()) continue;
+    for (std::size_t i = 0; i < check->candidates.size(); ++i) {
+      if (check->candidates[i].state == CandidateState::kOpen) {
+        Change(record, &*check, i, withdrawn, &write);
+      }
+    }
+  }
+  // They go, rather than change.
+  write.checks.clear();
+  return write;
+}
+
+// ---- Pairs
+
+double StoredChecks::TravelledAt(std::uint64_t sequence) const {
+  const core::PoseGraph& graph = vehicle_->loaded->graph();
+  const auto node = graph.NodeAtOrBefore(sequence);
+  return node ? graph.node(*node).travelled_meters : 0.0;
+}
+
+bool StoredChecks::IsPair(const PosePairRecord& pair, std::uint64_t query,
+                          std::uint64_t matched) const {
+  const auto are_near = [this](std::uint64_t a, std::uint64_t b) {
+    return std::abs(TravelledAt(a) - TravelledAt(b)) <=
+           core::kPlaceRadiusMeters;
+  };
+  return (are_near(pair.query_sequence, query) &&
+          are_near(pair.matched_sequence, matched)) ||
+         (are_near(pair.query_sequence, matched) &&
+          are_near(pair.matched_sequence, query));
+}
+
+void StoredChecks::Decide(std::uint64_t sequence,
+                          StoredCandidate* candidate) const {
+  for (const PairKind kind : kPairKinds) {
+    for (const auto& [id, pair] : vehicle_->pairs.Of(kind)) {
+      if (!pair.damage.ok() ||
+          !IsPair(pair, sequence, candidate->matched_sequence)) {
+        continue;
+      }
+      const bool confirms = kind == PairKind::kLoopClosure;
+      candidate->state =
+          confirms ? CandidateState::kConfirmed : CandidateState::kRejected;
+      candidate->cause =
+          confirms ? CandidateCause::kLoopClosure : CandidateCause::kRejection;
+      candidate->decision = id;
+      return;
+    }
+  }
+}
+
+absl::StatusOr<std::vector<CheckRecord>> StoredChecks::ChecksNear(
+    std::uint64_t sequence) const {
+  const core::PoseGraph& graph = vehicle_->loaded->graph();
+  const auto node = graph.NodeAtOrBefore(sequence);
+  core::NodeIndex first = node.value_or(0);
+  core::NodeIndex last = first;
+  const double here = TravelledAt(sequence);
+  while (first > 0 && here - graph.node(first - 1).travelled_meters <=
+                          core::kPlaceRadiusMeters) {
+    --first;
+  }
+  while (last + 1 < graph.size() &&
+         graph.node(last + 1).travelled_meters - here <=
+             core::kPlaceRadiusMeters) {
+    ++last;
+  }
+  // Poses that follow the last node are at it, as far as the graph tells.
+  const std::uint64_t end = last + 1 < graph.size()
+                                ? PoseOf(graph, last + 1) - 1
+                                : vehicle_->head.durable_sequence();
+  return vehicle_->storage->ListChecks(
+      vehicle_->head.key(), graph.size() == 0 ? 0 : PoseOf(graph, first), end,
+      /*open_only=*/false, kChecksPerRead);
+}
+
+absl::StatusOr<std::optional<ChecksWrite>> StoredChecks::WithPair(
+    PairKind kind, const PosePairRecord& pair,
+    const std::optional<CandidateId>& named, const std::string& actor) const {
+  const bool confirms = kind == PairKind::kLoopClosure;
+  const Transition transition{
+      confirms ? CandidateState::kConfirmed : CandidateState::kRejected,
+      confirms ? CandidateCause::kLoopClosure : CandidateCause::kRejection,
+      actor, pair.create_time_ns, pair.id};
+  ChecksWrite write;
+  write.before = write.after = vehicle_->head.checks();
+  bool is_named_found = false;
+  std::vector<CheckRecord> records;
+  for (const std::uint64_t place :
+       {pair.query_sequence, pair.matched_sequence}) {
+    absl::StatusOr<std::vector<CheckRecord>> near = ChecksNear(place);
+    if (!near.ok()) return near.status();
+    for (CheckRecord& record : *near) records.push_back(std::move(record));
+  }
+  if (named) {
+    absl::StatusOr<std::vector<CheckRecord>> found =
+        vehicle_->storage->ListChecks(vehicle_->head.key(),
+                                      named->check_sequence,
+                                      named->check_sequence, false, 1);
+    if (!found.ok()) return found.status();
+    for (CheckRecord& record : *found) records.push_back(std::move(record));
+  }
+  std::sort(records.begin(), records.end(),
+            [](const CheckRecord& a, const CheckRecord& b) {
+              return a.sequence < b.sequence;
+            });
+  records.erase(std::unique(records.begin(), records.end(),
+                            [](const CheckRecord& a, const CheckRecord& b) {
+                              return a.sequence == b.sequence;
+                            }),
+                records.end());
+  for (const CheckRecord& record : records) {
+    // A check that is damaged decides nothing.
+    if (!record.damage.ok()) continue;
+    absl::StatusOr<StoredCheck> check =
+        policy_.codec->DecodeCheck(record.payload);
+    if (!check.ok()) continue;
+    for (std::size_t i = 0; i < check->candidates.size(); ++i) {
+      const StoredCandidate& candidate = check->candidates[i];
+      const bool is_named = named && named->check_sequence == record.sequence &&
+                            named->number == candidate.number;
+      is_named_found = is_named_found || is_named;
+      const bool is_undecided = candidate.state == CandidateState::kOpen ||
+                                candidate.state == CandidateState::kWithdrawn;
+      const bool is_meant =
+          is_named || (is_undecided && IsPair(pair, record.sequence,
+                                              candidate.matched_sequence));
+      if (is_meant) Change(record, &*check, i, transition, &write);
+    }
+  }
+  if (named && !is_named_found) return CheckNotFound(vehicle_->id, *named);
+  if (write.checks.empty()) return std::optional<ChecksWrite>();
+  return std::optional<ChecksWrite>(std::move(write));
+}
+
+absl::StatusOr<std::optional<ChecksWrite>> StoredChecks::WithoutPair(
+    PairKind kind, const PosePairRecord& pair, const std::string& actor,
+    std::int64_t time_ns) const {
+  const CandidateState decided = kind == PairKind::kLoopClosure
+                                     ? CandidateState::kConfirmed
+                                     : CandidateState::kRejected;
+  const Transition transition{CandidateState::kOpen, CandidateCause::kDeletion,
+                              actor, time_ns, ""};
+  ChecksWrite write;
+  write.before = write.after = vehicle_->head.checks();
+  // Those that were named may lie anywhere.
+  std::uint64_t first = 0;
+  while (true) {
+    const absl::StatusOr<std::vector<CheckRecord>> page =
+        vehicle_->storage->ListChecks(vehicle_->head.key(), first,
+                                      kLastSequence, false, kChecksPerRead);
+    if (!page.ok()) return page.status();
+    for (const CheckRecord& record : *page) {
+      if (!record.damage.ok()) continue;
+      absl::StatusOr<StoredCheck> check =
+          policy_.codec->DecodeCheck(record.payload);
+      if (!check.ok()) continue;
+      for (std::size_t i = 0; i < check->candidates.size(); ++i) {
+        if (check->candidates[i].state == decided &&
+            check->candidates[i].decision == pair.id) {
+          Change(record, &*check, i, transition, &write);
+        }
+      }
+    }
+    if (static_cast<int>(page->size()) < kChecksPerRead) break;
+    first = page->back().sequence + 1;
+  }
+  if (write.checks.empty()) return std::optional<ChecksWrite>();
+  return std::optional<ChecksWrite>(std::move(write));
+}
+
+void StoredChecks::Change(const CheckRecord& record, StoredCheck* check,
+                          std::size_t index, const Transition& transition,
+                          ChecksWrite* write) const {
+  StoredCandidate& candidate = check->candidates[index];
+  candidate.state = transition.state;
+  candidate.cause = transition.cause;
+  candidate.actor = transition.actor;
+  candidate.update_time_ns = transition.time_ns;
+  candidate.decision = transition.decision;
+  candidate.event_number = ++write->after.last_event;
+  write->events.push_back(EventOf(record.sequence, *check, index));
+  CheckRecord changed = record;
+  changed.open_count = OpenCount(*check);
+  changed.payload = policy_.codec->EncodeCheck(*check);
+  if (!write->checks.empty() &&
+      write->checks.back().sequence == record.sequence) {
+    write->checks.back() = std::move(changed);
+  } else {
+    write->checks.push_back(std::move(changed));
+  }
+}
+
+EventRecord StoredChecks::EventOf(std::uint64_t sequence,
+                                  const StoredCheck& check,
+                                  std::size_t index) const {
+  EventRecord event;
+  event.time_ns = check.candidates[index].update_time_ns;
+  event.payload = policy_.codec->EncodeEvent(
+      {vehicle_->id, vehicle_->head.config().uid}, sequence, check, index);
+  return event;
+}
+
+EventRecord StoredChecks::Farewell() const {
+  EventRecord event;
+  if (policy_.codec == nullptr) return event;
+  event.time_ns = vehicle_->clock();
+  event.payload = policy_.codec->EncodeFarewell(
+      {vehicle_->id, vehicle_->head.config().uid});
+  return event;
+}
+
+std::uint32_t StoredChecks::OpenCount(const StoredCheck& check) {
+  return static_cast<std::uint32_t>(
+      std::count_if(check.candidates.begin(), check.candidates.end(),
+                    [](const StoredCandidate& candidate) {
+                      return candidate.state == CandidateState::kOpen;
+                    }));
+}
+
+}  // namespace revisit::server

@@ -1,0 +1,201 @@
+"""Candidates that are stored, told once, and never lost, where several servers share a
+database: against kill -9 of servers, handovers, and a database that is restarted."""
+
+import contextlib
+import os
+import pathlib
+import random
+import shutil
+import time
+
+import grpc
+
+from own_postgres import own_shared_store
+from revisit_server import START_SECONDS, Server, free_port, wait_until
+from stubs import PoseGraphServiceStub, api
+from watching import Watcher, expect_each_check_once, list_checks
+from wire import boreas, decode_failure
+
+SERVERS = 3
+LEASE_SECONDS = 1
+VEHICLES = [f"vehicles/truck-{number}" for number in range(4)]
+
+
+class Cluster:
+    """Servers over one database, each of which is started again when it is killed."""
+
+    def __init__(self, url, directory):
+        self._url = url
+        self._directory = directory
+        self._ports = [free_port() for _ in range(SERVERS)]
+        self.servers = [None] * SERVERS
+        for number in range(SERVERS):
+            self.start(number)
+
+    def start(self, number):
+        address = f"127.0.0.1:{self._ports[number]}"
+        self.servers[number] = Server(
+            self._url, "--advertise-address", address,
+            "--lease-seconds", LEASE_SECONDS, listen=address,
+            log_path=self._directory / f"server-{number}.log")
+
+    def kill(self, number):
+        self.servers[number].kill()
+
+    def addresses(self):
+        return [server.address for server in self.servers if server.is_running()]
+
+    def close(self):
+        for server in self.servers:
+            server.close()
+
+
+def served(cluster, rng, call):
+    """What any server answers that has the vehicle, or gets it: others say who has it,
+    and one that was just killed says nothing."""
+    deadline = time.monotonic() + 2 * START_SECONDS
+    while True:
+        address = rng.choice(cluster.addresses())
+        with grpc.insecure_channel(address) as channel:
+            try:
+                return call(PoseGraphServiceStub(channel))
+            except grpc.RpcError as error:
+                assert error.code() in (
+                    grpc.StatusCode.UNAVAILABLE, grpc.StatusCode.ABORTED,
+                    grpc.StatusCode.DEADLINE_EXCEEDED), error
+                assert time.monotonic() < deadline, error
+        time.sleep(0.02)
+
+
+def vehicle_of(cluster, rng, name):
+    return served(cluster, rng, lambda stub: stub.GetVehicle(
+        api.GetVehicleRequest(name=name), timeout=10)).vehicle
+
+
+def test_checks_are_told_once_whatever_servers_are_killed(tmp_path, request, seed):
+    kills = max(6, request.config.getoption("--kills") // 8)
+    rng = random.Random(seed)
+    poses, _ = boreas()
+    with own_shared_store() as database, contextlib.ExitStack() as stack:
+        cluster = Cluster(database.url("revisit"), tmp_path)
+        stack.callback(cluster.close)
+        settings = api.VehicleSettings(checks=api.STORED_CHECKS_STORED)
+        for name in VEHICLES:
+            served(cluster, rng, lambda stub, name=name: stub.CreateVehicle(
+                api.CreateVehicleRequest(vehicle_id=name.split("/")[1],
+                                         vehicle=api.Vehicle(settings=settings)),
+                timeout=10))
+        watchers = [Watcher(cluster.addresses, seed + n) for n in range(3)]
+        for watcher in watchers:
+            assert watcher.begun.wait(30)
+        step = len(poses) // kills + 1
+        for kill in range(kills):
+            for name in VEHICLES:
+                # Asked of any server, so that vehicles move.
+                durable = vehicle_of(cluster, rng, name).durable_sequence
+                batch = poses[durable:durable + step]
+                if batch:
+                    served(cluster, rng, lambda stub, name=name, batch=batch:
+                           stub.AppendPoses(api.AppendPosesRequest(
+                               vehicle=name, poses=batch), timeout=10))
+            time.sleep(rng.choice([0.0, rng.uniform(0.0, 0.3)]))
+            number = rng.randrange(SERVERS)
+            cluster.kill(number)
+            if kill == kills // 2:
+                database.process.stop()
+                database.start()
+            cluster.start(number)
+        for name in VEHICLES:
+            while (durable := vehicle_of(cluster, rng, name).durable_sequence) \
+                    < len(poses):
+                served(cluster, rng, lambda stub, name=name, durable=durable:
+                       stub.AppendPoses(api.AppendPosesRequest(
+                           vehicle=name, poses=poses[durable:durable + 1000]),
+                                        timeout=10))
+            wait_until(lambda name=name: vehicle_of(
+                cluster, rng, name).check_debt == 0, f"checks of {name}",
+                seconds=2 * START_SECONDS)
+        total = sum(len(check.states) for check in served(
+            cluster, rng, list_checks)[0])
+        for watcher in watchers:
+            wait_until(lambda w=watcher: w.failure or sum(
+                map(len, w.told.values())) >= total, "all events",
+                seconds=2 * START_SECONDS)
+            watcher.stop()
+            assert watcher.failure is None, watcher.failure
+        for name in VEHICLES:
+            uid = vehicle_of(cluster, rng, name).uid
+            for watcher in watchers[1:]:
+                assert watcher.told[uid] == watchers[0].told[uid]
+            due, kept = served(cluster, rng, lambda stub, name=name, uid=uid:
+                               expect_each_check_once(
+                                   stub, name, watchers[0].told[uid]))
+            assert kept > 100
+            print(f"{name}: {due} checks due, {kept} kept")
+        print(f"{kills} kills of {SERVERS} servers, {total} events, watchers broken "
+              f"off {[w.breaks for w in watchers]} times, events told again "
+              f"{[w.repeated for w in watchers]}")
+
+
+def test_a_cursor_of_a_database_that_lost_its_last_events_is_refused(tmp_path, seed):
+    """As after a failover to a standby that lacked the last commits."""
+    rng = random.Random(seed)
+    poses, _ = boreas()
+    name = "vehicles/a"
+    with own_shared_store() as database, contextlib.ExitStack() as stack:
+        cluster = Cluster(database.url("revisit"), tmp_path)
+        stack.callback(cluster.close)
+        served(cluster, rng, lambda stub: stub.CreateVehicle(api.CreateVehicleRequest(
+            vehicle_id="a", vehicle=api.Vehicle(settings=api.VehicleSettings(
+                checks=api.STORED_CHECKS_STORED))), timeout=10))
+
+        def append_to(count):
+            while (durable := vehicle_of(cluster, rng, name).durable_sequence) < count:
+                served(cluster, rng, lambda stub: stub.AppendPoses(
+                    api.AppendPosesRequest(vehicle=name, poses=poses[durable:count]),
+                    timeout=20))
+            wait_until(lambda: vehicle_of(cluster, rng, name).check_debt == 0,
+                       "checks", seconds=2 * START_SECONDS)
+
+        append_to(1500)
+        data = pathlib.Path(database.sockets) / "data"
+        copy = tmp_path / "standby"
+        database.process.stop()
+        # The owner of the files is the user of the database.
+        shutil.copytree(data, copy)
+        database.start()
+        append_to(len(poses))
+        _, cursor = served(cluster, rng, list_checks)
+        known = served(cluster, rng, lambda stub: watched_from(stub, ""))
+        assert known is not None
+        owner = data.stat()
+        database.process.stop()
+        shutil.rmtree(data)
+        shutil.copytree(copy, data)
+        for path in (data, *data.rglob("*")):
+            os.chown(path, owner.st_uid, owner.st_gid)
+        data.chmod(0o700)
+        database.start()
+        # What it has lost is sent again, and makes other events than before.
+        append_to(len(poses))
+        refused = served(cluster, rng, lambda stub: watched_from(stub, cursor))
+        assert (refused.code, refused.reason) == (
+            grpc.StatusCode.OUT_OF_RANGE, "CURSOR_UNKNOWN")
+        checks, cursor = served(cluster, rng, list_checks)
+        assert served(cluster, rng, lambda stub: watched_from(stub, cursor)) == cursor
+        told = served(cluster, rng, lambda stub: stub.GetCheck(
+            api.GetCheckRequest(name=checks[-1].name), timeout=10)).check
+        assert told == checks[-1]
+
+
+def watched_from(stub, cursor):
+    """The first cursor of a watch, or why it is refused."""
+    call = stub.WatchCandidates(api.WatchCandidatesRequest(cursor=cursor), timeout=10)
+    try:
+        return next(call).cursor
+    except grpc.RpcError as error:
+        if error.code() != grpc.StatusCode.OUT_OF_RANGE:
+            raise
+        return decode_failure(error)
+    finally:
+        call.cancel()
