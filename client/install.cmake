@@ -81,8 +81,8 @@ target_link_libraries(revisit_client_package
             absl::statusor absl::strings OpenSSL::Crypto OpenSSL::SSL
             Threads::Threads)
 install(TARGETS revisit_client_package EXPORT revisit-targets COMPONENT dev)
-install(FILES revisit/backoff.h revisit/channel.h revisit/client.h
-              revisit/pose_stream.h revisit/status.h
+install(FILES revisit/backoff.h revisit/candidate_watch.h revisit/channel.h
+              revisit/client.h revisit/pose_stream.h revisit/status.h
         DESTINATION ${headers}/client/revisit COMPONENT dev)
 install(DIRECTORY ${PROJECT_BINARY_DIR}/proto/generated/revisit
                   ${PROJECT_BINARY_DIR}/proto/generated/google

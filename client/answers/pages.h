@@ -2,6 +2,8 @@
 #ifndef REVISIT_CLIENT_ANSWERS_PAGES_H_
 #define REVISIT_CLIENT_ANSWERS_PAGES_H_
 
+#include <algorithm>
+#include <cstddef>
 #include <cstdint>
 #include <optional>
 #include <string>
@@ -14,6 +16,7 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "client/revisit/printable_text.h"
+#include "revisit/v1/check.pb.h"
 #include "revisit/v1/geometry.pb.h"
 #include "revisit/v1/loop_closure.pb.h"
 #include "revisit/v1/recording.pb.h"
@@ -21,8 +24,11 @@
 namespace revisit::client {
 
 // Empty pages that may follow each other. The service sends none before the
-// last page.
+// last page, but of checks, where a filter may leave out all that was read.
+template <typename Item>
 inline constexpr int kMostEmptyPages = 100;
+template <>
+inline constexpr int kMostEmptyPages<v1::Check> = 10'000;
 
 // By what a list is ordered.
 template <typename Item>
@@ -40,6 +46,17 @@ inline std::int64_t OrderOf(const v1::DeletedPosePair& pair) {
 }
 inline std::uint64_t OrderOf(const v1::Recording& recording) {
   return recording.first_sequence();
+}
+// The name of its vehicle, then its sequence with as many digits as any has.
+// The blank between them is before all that an id may have.
+inline std::string OrderOf(const v1::Check& check) {
+  constexpr std::size_t kDigits = 20;
+  const std::string& name = check.name();
+  const std::size_t slash = name.rfind("/checks/");
+  if (slash == name.npos) return name;
+  std::string sequence = name.substr(name.rfind('/') + 1);
+  sequence.insert(0, kDigits - std::min(kDigits, sequence.size()), '0');
+  return name.substr(0, slash) + " " + sequence;
 }
 
 // The pages of a list, one after the other. `list(request)` asks for a page,
@@ -71,7 +88,7 @@ class PageReader {
     ended_ = page_.next_page_token().empty();
     request_.set_page_token(page_.next_page_token());
     empty_pages_ = items_(page_).empty() ? empty_pages_ + 1 : 0;
-    if (empty_pages_ > kMostEmptyPages) {
+    if (empty_pages_ > kMostEmptyPages<Item>) {
       return absl::InternalError(absl::StrCat(
           "the server's list does not go on: ", empty_pages_,
           " empty pages follow each other, and each names another"));
@@ -83,8 +100,9 @@ class PageReader {
   const Page& page() const { return page_; }
 
  private:
-  using Order = std::decay_t<decltype(OrderOf(
-      *std::declval<Items>()(std::declval<const Page&>()).begin()))>;
+  using Item = std::decay_t<
+      decltype(*std::declval<Items>()(std::declval<const Page&>()).begin())>;
+  using Order = std::decay_t<decltype(OrderOf(std::declval<const Item&>()))>;
 
   absl::Status Follow(Order order) {
     if (last_.has_value() && order <= *last_) {

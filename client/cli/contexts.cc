@@ -6,7 +6,6 @@
 
 #include <algorithm>
 #include <cerrno>
-#include <cstdio>
 #include <cstdlib>
 #include <cstring>
 #include <filesystem>
@@ -20,6 +19,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "client/cli/usage/suggestion.h"
+#include "client/terminal/replaced_file.h"
 #include "client/terminal/terminal.h"
 #include "nlohmann/json.hpp"
 
@@ -148,31 +148,6 @@ std::string TextOf(const Contexts& contexts) {
   return whole.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
-absl::Status WriteAll(int file, const std::string& text,
-                      const std::string& path) {
-  for (std::size_t done = 0; done < text.size();) {
-    const ssize_t wrote = write(file, text.data() + done, text.size() - done);
-    if (wrote < 0 && errno == EINTR) continue;
-    if (wrote < 0) return SystemError(path);
-    done += static_cast<std::size_t>(wrote);
-  }
-  return fsync(file) == 0 ? absl::OkStatus() : SystemError(path);
-}
-
-// Gives the text the name `path` once it is whole on the disk.
-absl::Status Replace(const std::string& path, const std::string& text) {
-  std::string aside = path + ".XXXXXX";
-  // Nobody else may read such a file from its beginning on.
-  const Descriptor file(mkostemp(aside.data(), O_CLOEXEC));
-  if (file.number() < 0) return SystemError(path);
-  absl::Status done = WriteAll(file.number(), text, path);
-  if (done.ok() && std::rename(aside.c_str(), path.c_str()) != 0) {
-    done = SystemError(path);
-  }
-  if (!done.ok()) std::remove(aside.c_str());
-  return done;
-}
-
 // Waits until no other process changes the file.
 absl::Status Lock(const Descriptor& lock, const std::string& path) {
   while (lock.number() < 0 || flock(lock.number(), LOCK_EX) != 0) {
@@ -269,7 +244,7 @@ absl::Status ChangeContexts(
   auto contexts = ReadContexts(file.string());
   if (!contexts.ok()) return contexts.status();
   if (absl::Status changed = change(&*contexts); !changed.ok()) return changed;
-  return Replace(file.string(), TextOf(*contexts));
+  return ReplaceFile(file.string(), TextOf(*contexts));
 }
 
 absl::StatusOr<ChannelOptions> ServerOf(const Contexts& contexts,

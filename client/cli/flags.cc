@@ -57,6 +57,12 @@ CLI::Validator OneOf(const std::vector<std::string>& words) {
           ""};
 }
 
+std::vector<std::string> KnownOf(const Words& words) {
+  std::vector<std::string> known;
+  for (const auto& [word, value] : words) known.push_back(word);
+  return known;
+}
+
 // The command that the words lead to so far.
 const CLI::App* ChosenOf(const CLI::App* app) {
   while (!app->get_subcommands().empty()) app = app->get_subcommands().front();
@@ -292,17 +298,27 @@ Flag Command::AddSwitch(const std::string& name, std::function<void(bool)> set,
 Flag Command::AddChoice(const std::string& name, const Words& words,
                         std::function<void(int)> set,
                         const std::string& help) const {
-  std::string type;
-  std::vector<std::string> known;
-  for (const auto& [word, value] : words) {
-    absl::StrAppend(&type, type.empty() ? "" : "|", word);
-    known.push_back(word);
-  }
   const auto set_word = [set = std::move(set), words](const std::string& word) {
     set(words.at(word));
   };
+  const std::vector<std::string> known = KnownOf(words);
   return Flag(app_->add_option_function<std::string>(name, set_word, help)
-                  ->type_name(type)
+                  ->type_name(absl::StrJoin(known, "|"))
+                  ->check(OneOf(known))
+                  ->group(heading_));
+}
+
+Flag Command::AddRepeatedChoice(const std::string& name, const Words& words,
+                                std::function<void(int)> add,
+                                const std::string& help) const {
+  using Given = std::vector<std::string>;
+  const auto add_words = [add = std::move(add), words](const Given& given) {
+    for (const std::string& word : given) add(words.at(word));
+  };
+  const std::vector<std::string> known = KnownOf(words);
+  return Flag(app_->add_option_function<Given>(name, add_words, help)
+                  ->type_name(absl::StrJoin(known, "|"))
+                  ->allow_extra_args(false)
                   ->check(OneOf(known))
                   ->group(heading_));
 }

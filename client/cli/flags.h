@@ -162,6 +162,12 @@ class Command {
         help);
   }
 
+  // A flag that may be given several times, with one of `words` each. `add` is
+  // called for each.
+  Flag AddRepeatedChoice(const std::string& name, const Words& words,
+                         std::function<void(int)> add,
+                         const std::string& help) const;
+
   // Finite numbers. The help shows the default of one that has a variable.
   Flag AddNumber(const std::string& name, const std::string& type,
                  double* value, const std::string& help) const;

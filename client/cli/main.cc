@@ -5,6 +5,7 @@
 #include <iostream>
 #include <string>
 
+#include "client/cli/commands/checks_command.h"
 #include "client/cli/commands/context_command.h"
 #include "client/cli/commands/convert_command.h"
 #include "client/cli/commands/deletions_command.h"
@@ -24,6 +25,7 @@
 #include "client/cli/commands/stream_command.h"
 #include "client/cli/commands/vehicle_command.h"
 #include "client/cli/commands/verify_command.h"
+#include "client/cli/commands/watch_command.h"
 #include "client/cli/connection_flags.h"
 #include "client/cli/connection_hint.h"
 #include "client/cli/flags.h"
@@ -62,6 +64,8 @@ void AddCommands(const Command& program, const ConnectionFlags* connection,
   AddVehicleCommand(program);
   AddStreamCommand(program);
   AddFindCommand(program);
+  AddChecksCommand(program);
+  AddWatchCommand(program);
   AddConfirmCommand(program);
   AddRejectCommand(program);
   AddClosuresCommand(program);

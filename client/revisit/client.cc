@@ -119,6 +119,16 @@ absl::StatusOr<v1::FindCandidatesResponse> Client::FindCandidates(
   return rep_->Unary(Retry::kSafe, &Stub::FindCandidates, request);
 }
 
+absl::StatusOr<v1::GetCheckResponse> Client::GetCheck(
+    const v1::GetCheckRequest& request) const {
+  return rep_->Unary(Retry::kSafe, &Stub::GetCheck, request);
+}
+
+absl::StatusOr<v1::ListChecksResponse> Client::ListChecks(
+    const v1::ListChecksRequest& request) const {
+  return rep_->Unary(Retry::kSafe, &Stub::ListChecks, request);
+}
+
 absl::StatusOr<v1::AddLoopClosureResponse> Client::AddLoopClosure(
     const v1::AddLoopClosureRequest& request) const {
   return rep_->Unary(Retry::kSafe, &Stub::AddLoopClosure, request);

@@ -1,5 +1,5 @@
 // Calls of revisit.v1.PoseGraphService, with deadlines and retries. For streams
-// of poses see pose_stream.h.
+// of poses see pose_stream.h, for watching candidates candidate_watch.h.
 //
 // Errors come back as absl::Status with the server's code and message;
 // DetailsOf() (status.h) reads reason and field violations from them. Nothing
@@ -73,6 +73,12 @@ class Client {
   // Retried.
   absl::StatusOr<v1::FindCandidatesResponse> FindCandidates(
       const v1::FindCandidatesRequest& request) const;
+  // Retried.
+  absl::StatusOr<v1::GetCheckResponse> GetCheck(
+      const v1::GetCheckRequest& request) const;
+  // Retried.
+  absl::StatusOr<v1::ListChecksResponse> ListChecks(
+      const v1::ListChecksRequest& request) const;
   // Retried: the same link again is the existing one.
   absl::StatusOr<v1::AddLoopClosureResponse> AddLoopClosure(
       const v1::AddLoopClosureRequest& request) const;

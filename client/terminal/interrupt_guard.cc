@@ -32,8 +32,8 @@ void OnSignal(int) {
 
 }  // namespace
 
-InterruptGuard::InterruptGuard(std::function<void()> clean_up)
-    : clean_up_(std::move(clean_up)) {
+InterruptGuard::InterruptGuard(std::function<void()> clean_up, After after)
+    : clean_up_(std::move(clean_up)), after_(after) {
   // Without a pipe, signals keep their meaning.
   if (pipe2(pipe_, O_CLOEXEC) != 0) return;
   interrupts = pipe_[1];
@@ -41,6 +41,7 @@ InterruptGuard::InterruptGuard(std::function<void()> clean_up)
   struct sigaction act = {};
   act.sa_handler = &OnSignal;
   act.sa_flags = SA_RESTART;
+  if (after_ == After::kGoOn) act.sa_flags |= SA_RESETHAND;
   for (const int signal : {SIGINT, SIGTERM, SIGHUP}) Replace(signal, act);
   struct sigaction ignore = {};
   ignore.sa_handler = SIG_IGN;
@@ -73,7 +74,7 @@ void InterruptGuard::Wait() {
   }
   if (byte == kOver) return;
   clean_up_();
-  _exit(kExitInterrupted);
+  if (after_ == After::kExit) _exit(kExitInterrupted);
 }
 
 }  // namespace revisit::client

@@ -1,4 +1,4 @@
-// Cleans up when somebody presses Ctrl-C.
+// Cleans up, or comes to an end, when somebody presses Ctrl-C.
 #ifndef REVISIT_CLIENT_TERMINAL_INTERRUPT_GUARD_H_
 #define REVISIT_CLIENT_TERMINAL_INTERRUPT_GUARD_H_
 
@@ -13,9 +13,16 @@ namespace revisit::client {
 // its own and then end the process with code 130. A signal that was ignored
 // before stays ignored. The destructor does not return once a signal has come:
 // the process ends meanwhile. A process has at most one guard at a time.
+//
+// One that goes on (After::kGoOn) runs `clean_up` at the first signal, and
+// leaves the end to whoever has the guard; the same signal once more ends the
+// process at once.
 class InterruptGuard {
  public:
-  explicit InterruptGuard(std::function<void()> clean_up);
+  enum class After { kExit, kGoOn };
+
+  explicit InterruptGuard(std::function<void()> clean_up,
+                          After after = After::kExit);
   ~InterruptGuard();
 
   InterruptGuard(const InterruptGuard&) = delete;
@@ -31,6 +38,7 @@ class InterruptGuard {
   void Wait();
 
   const std::function<void()> clean_up_;
+  const After after_;
   // The ends for reading and for writing.
   int pipe_[2] = {-1, -1};
   std::vector<Replaced> replaced_;

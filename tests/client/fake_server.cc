@@ -243,6 +243,35 @@ void FakeServer::Describe(v1::Vehicle* vehicle) const {
   vehicle->add_findings()->set_message(said);
 }
 
+void FakeServer::Describe(v1::Check* check) const {
+  const std::string said = Said();
+  check->set_name(check->name() + said);
+  for (v1::CheckCandidate& candidate : *check->mutable_states()) {
+    candidate.set_name(candidate.name() + said);
+    candidate.set_actor(candidate.actor() + said);
+    candidate.set_decision(candidate.decision() + said);
+  }
+}
+
+void FakeServer::Describe(v1::WatchCandidatesResponse* event) const {
+  const std::string said = Said();
+  event->set_cursor(event->cursor() + said);
+  if (!event->has_candidate()) return;
+  v1::CandidateEvent* const told = event->mutable_candidate();
+  told->set_check(told->check() + said);
+  told->mutable_candidate()->set_name(told->candidate().name() + said);
+}
+
+template <typename Pair>
+void FakeServer::NoteDecision(const std::string& decision,
+                              const std::string& candidate, const Pair& pair) {
+  std::lock_guard<std::mutex> lock(mutex_);
+  if (candidate.empty()) return;
+  decisions_.push_back(decision + " " + candidate + " " +
+                       std::to_string(pair.query_sequence()) + "-" +
+                       std::to_string(pair.matched_sequence()));
+}
+
 void FakeServer::NoteDeletion(const std::string& name) {
   std::lock_guard<std::mutex> lock(mutex_);
   deleted_.push_back(name);
@@ -321,9 +350,134 @@ grpc::Status FakeServer::FindCandidates(grpc::ServerContext*,
   return NextUnaryStatus();
 }
 
+void FakeServer::set_checks(std::vector<v1::Check> checks) {
+  std::lock_guard<std::mutex> lock(mutex_);
+  checks_ = std::move(checks);
+}
+
+void FakeServer::AddEvent(v1::WatchCandidatesResponse event) {
+  std::lock_guard<std::mutex> lock(mutex_);
+  event.set_cursor("at " + std::to_string(events_.size() + 1));
+  events_.push_back(std::move(event));
+  changed_.notify_all();
+}
+
+void FakeServer::FailWatches(
+    std::function<std::optional<grpc::Status>(const WatchStep&)> faults) {
+  std::lock_guard<std::mutex> lock(mutex_);
+  watch_faults_ = std::move(faults);
+}
+
+std::vector<std::string> FakeServer::WatchCursors() const {
+  std::lock_guard<std::mutex> lock(mutex_);
+  return watch_cursors_;
+}
+
+std::vector<v1::ListChecksRequest> FakeServer::CheckLists() const {
+  std::lock_guard<std::mutex> lock(mutex_);
+  return check_lists_;
+}
+
+std::vector<std::string> FakeServer::Decisions() const {
+  std::lock_guard<std::mutex> lock(mutex_);
+  return decisions_;
+}
+
+grpc::Status FakeServer::GetCheck(grpc::ServerContext*,
+                                  const v1::GetCheckRequest* request,
+                                  v1::GetCheckResponse* response) {
+  {
+    std::lock_guard<std::mutex> lock(mutex_);
+    for (const v1::Check& check : checks_) {
+      if (check.name() == request->name()) *response->mutable_check() = check;
+    }
+  }
+  if (!response->has_check()) {
+    return MakeStatus(grpc::StatusCode::NOT_FOUND, "no such check",
+                      {"CHECK_NOT_FOUND"});
+  }
+  Describe(response->mutable_check());
+  return NextUnaryStatus();
+}
+
+grpc::Status FakeServer::ListChecks(grpc::ServerContext*,
+                                    const v1::ListChecksRequest* request,
+                                    v1::ListChecksResponse* response) {
+  constexpr int kPage = 2;
+  const auto matches = [request](const v1::Check& check) {
+    const auto& states = request->filter().states();
+    return std::any_of(check.states().begin(), check.states().end(),
+                       [&states](const v1::CheckCandidate& candidate) {
+                         return states.empty() ||
+                                std::find(states.begin(), states.end(),
+                                          candidate.state()) != states.end();
+                       });
+  };
+  {
+    std::lock_guard<std::mutex> lock(mutex_);
+    check_lists_.push_back(*request);
+    std::size_t next =
+        request->page_token().empty() ? 0 : std::stoul(request->page_token());
+    if (next == 0) {
+      response->set_watch_cursor("at " + std::to_string(events_.size()));
+    }
+    while (next < checks_.size() && response->checks_size() < kPage) {
+      if (matches(checks_[next])) *response->add_checks() = checks_[next];
+      ++next;
+    }
+    if (next < checks_.size()) {
+      response->set_next_page_token(std::to_string(next));
+    }
+  }
+  for (v1::Check& check : *response->mutable_checks()) Describe(&check);
+  EndPage(request->page_token(), response->mutable_checks(), response);
+  return NextUnaryStatus();
+}
+
+grpc::Status FakeServer::WatchCandidates(
+    grpc::ServerContext* context, const v1::WatchCandidatesRequest* request,
+    grpc::ServerWriter<v1::WatchCandidatesResponse>* writer) {
+  std::unique_lock<std::mutex> lock(mutex_);
+  watch_cursors_.push_back(request->cursor());
+  changed_.notify_all();
+  WatchStep step = {request->cursor()};
+  if (watch_faults_) {
+    if (const auto status = watch_faults_(step)) return *status;
+  }
+  std::size_t next = events_.size();
+  if (request->cursor().rfind("at ", 0) == 0) {
+    next = std::stoul(request->cursor().substr(3));
+  } else if (!request->cursor().empty()) {
+    return MakeStatus(grpc::StatusCode::INVALID_ARGUMENT, "no cursor",
+                      {"INVALID_CURSOR"});
+  }
+  v1::WatchCandidatesResponse beat;
+  beat.set_cursor("at " + std::to_string(next));
+  beat.mutable_beat();
+  lock.unlock();
+  writer->Write(beat);
+  lock.lock();
+  while (!context->IsCancelled() && !stopping_) {
+    if (next >= events_.size()) {
+      changed_.wait_for(lock, std::chrono::milliseconds(2));
+      continue;
+    }
+    v1::WatchCandidatesResponse event = events_[next++];
+    lock.unlock();
+    Describe(&event);
+    writer->Write(event);
+    lock.lock();
+    ++step.told;
+    if (!watch_faults_) continue;
+    if (const auto status = watch_faults_(step)) return *status;
+  }
+  return grpc::Status::CANCELLED;
+}
+
 grpc::Status FakeServer::AddLoopClosure(
     grpc::ServerContext*, const v1::AddLoopClosureRequest* request,
     v1::AddLoopClosureResponse* response) {
+  NoteDecision("confirm", request->candidate(), request->loop_closure());
   *response->mutable_loop_closure() = request->loop_closure();
   response->mutable_loop_closure()->set_name(request->parent() +
                                              "/loopClosures/new" + Said());
@@ -334,6 +488,7 @@ grpc::Status FakeServer::AddLoopClosure(
 grpc::Status FakeServer::RejectCandidate(
     grpc::ServerContext*, const v1::RejectCandidateRequest* request,
     v1::RejectCandidateResponse* response) {
+  NoteDecision("reject", request->candidate(), request->rejected_candidate());
   *response->mutable_rejected_candidate() = request->rejected_candidate();
   response->mutable_rejected_candidate()->set_name(
       request->parent() + "/rejectedCandidates/new" + Said());

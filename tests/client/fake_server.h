@@ -51,6 +51,14 @@ struct StreamFault {
   grpc::Status status;
 };
 
+// Where a watch of candidates is.
+struct WatchStep {
+  // That of the request.
+  std::string cursor;
+  // Events that this watch was told; 0 before anything is said.
+  int told = 0;
+};
+
 // How a list goes on behind its last page, for ever unless it ends.
 enum class ListEnd {
   kEnds,
@@ -101,6 +109,16 @@ class FakeServer final : public v1::PoseGraphService::Service {
   // The answer of searches and checks, but for the query.
   void set_candidates(const v1::CandidateSet& candidates);
 
+  // ListChecks() lists those of these that have a candidate in one of the
+  // filter's states, two on a page.
+  void set_checks(std::vector<v1::Check> checks);
+  // Tells this to all watches, whatever their filter is. The cursor behind it
+  // is "at N" if it is the Nth.
+  void AddEvent(v1::WatchCandidatesResponse event);
+  // Asked for each watch before its first beat and after each event: a status
+  // ends it.
+  void FailWatches(
+      std::function<std::optional<grpc::Status>(const WatchStep&)> faults);
   // ListRecordings() lists these, two on a page.
   void set_recordings(std::vector<v1::Recording> recordings);
 
@@ -118,6 +136,13 @@ class FakeServer final : public v1::PoseGraphService::Service {
   // The header x-revisit-owner of each GetVehicle and DeleteVehicle, and of
   // each open, in order; "" where there was none.
   std::vector<std::string> Routes() const;
+  // The cursor of each watch, in order.
+  std::vector<std::string> WatchCursors() const;
+  // What each page of ListChecks() was asked for.
+  std::vector<v1::ListChecksRequest> CheckLists() const;
+  // "confirm NAME QUERY-MATCHED" and "reject NAME QUERY-MATCHED" of each
+  // decision about the candidate NAME, in order.
+  std::vector<std::string> Decisions() const;
   // Names that deletions asked for, in order.
   std::vector<std::string> Deleted() const;
   int largest_batch() const;
@@ -140,6 +165,13 @@ class FakeServer final : public v1::PoseGraphService::Service {
   grpc::Status FindCandidates(grpc::ServerContext*,
                               const v1::FindCandidatesRequest*,
                               v1::FindCandidatesResponse*) override;
+  grpc::Status GetCheck(grpc::ServerContext*, const v1::GetCheckRequest*,
+                        v1::GetCheckResponse*) override;
+  grpc::Status ListChecks(grpc::ServerContext*, const v1::ListChecksRequest*,
+                          v1::ListChecksResponse*) override;
+  grpc::Status WatchCandidates(
+      grpc::ServerContext*, const v1::WatchCandidatesRequest*,
+      grpc::ServerWriter<v1::WatchCandidatesResponse>*) override;
   grpc::Status AddLoopClosure(grpc::ServerContext*,
                               const v1::AddLoopClosureRequest*,
                               v1::AddLoopClosureResponse*) override;
@@ -189,9 +221,14 @@ class FakeServer final : public v1::PoseGraphService::Service {
   void EndPage(const std::string& token, Items* items, Page* page);
   // Says what Say() wants in a vehicle.
   void Describe(v1::Vehicle* vehicle) const;
+  void Describe(v1::Check* check) const;
+  void Describe(v1::WatchCandidatesResponse* event) const;
   // Mutex must be held.
   void NoteRoute(const grpc::ServerContext& context);
   void NoteDeletion(const std::string& name);
+  template <typename Pair>
+  void NoteDecision(const std::string& decision, const std::string& candidate,
+                    const Pair& pair);
   // Stores what is new of a batch. Mutex must be held.
   grpc::Status Store(const v1::PoseBatch& batch);
 
@@ -214,6 +251,12 @@ class FakeServer final : public v1::PoseGraphService::Service {
   int max_batch_poses_ = 1000;
   v1::CandidateSet candidates_;
   std::vector<v1::Recording> recordings_;
+  std::vector<v1::Check> checks_;
+  std::vector<v1::WatchCandidatesResponse> events_;
+  std::function<std::optional<grpc::Status>(const WatchStep&)> watch_faults_;
+  std::vector<std::string> watch_cursors_;
+  std::vector<v1::ListChecksRequest> check_lists_;
+  std::vector<std::string> decisions_;
   std::vector<std::string> stored_;
   std::vector<std::uint64_t> opens_;
   std::vector<std::string> open_uids_;

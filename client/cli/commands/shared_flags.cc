@@ -30,6 +30,26 @@ void AddDirection(const Command& command, v1::CandidateOptions* options) {
       "(same)");
 }
 
+void AddCandidateFilter(const Command& command, v1::CandidateFilter* filter) {
+  command.AddRepeatedChoice(
+      "--state", WordsOf(v1::CandidateState_descriptor()),
+      [filter](int state) {
+        filter->add_states(static_cast<v1::CandidateState>(state));
+      },
+      "Candidates in this state; once for each that is wanted, all if left "
+      "out");
+  command.AddRepeatedChoice(
+      "--verdict", WordsOf(v1::Verdict_descriptor()),
+      [filter](int verdict) {
+        filter->add_verdicts(static_cast<v1::Verdict>(verdict));
+      },
+      "Candidates of this verdict, likewise");
+  command.AddNumber(
+      "--least-probability", "P",
+      [filter](double least) { filter->set_least_probability(least); },
+      "Candidates at least so probable");
+}
+
 void AddUncertainty(const Command& command, UncertaintyOptions* options) {
   using Source = UncertaintyOptions::Source;
   const Words sources = {{"model", static_cast<int>(Source::kModel)},

@@ -7,6 +7,7 @@
 #include "client/cli/flags.h"
 #include "client/trajectory/dead_reckoning.h"
 #include "revisit/v1/candidate.pb.h"
+#include "revisit/v1/check.pb.h"
 #include "revisit/v1/pose_graph_service.pb.h"
 
 namespace revisit::client {
@@ -19,6 +20,9 @@ void AddPoseView(const Command& command, v1::PoseView* view);
 
 // Which passes of a place candidates are looked for among.
 void AddDirection(const Command& command, v1::CandidateOptions* options);
+
+// Which stored candidates are wanted.
+void AddCandidateFilter(const Command& command, v1::CandidateFilter* filter);
 
 // The uncertainty that is claimed for the poses of a drive file.
 void AddUncertainty(const Command& command, UncertaintyOptions* options);

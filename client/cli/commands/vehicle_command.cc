@@ -338,6 +338,14 @@ void PrintVehicle(const v1::Vehicle& vehicle, const Terminal& terminal) {
   for (auto& setting : DescribeSettings(settings)) {
     fields.push_back(std::move(setting));
   }
+  if (settings.checks() == v1::STORED_CHECKS_STORED) {
+    std::string checked =
+        absl::StrCat("up to pose ", vehicle.checked_sequence());
+    if (vehicle.has_check_debt()) {
+      absl::StrAppend(&checked, ", ", vehicle.check_debt(), " checks owed");
+    }
+    fields.emplace_back("checked", checked);
+  }
   if (vehicle.has_consistency()) AddConsistency(vehicle.consistency(), &fields);
   for (const v1::Finding& finding : vehicle.findings()) {
     fields.emplace_back("finding", finding.message());

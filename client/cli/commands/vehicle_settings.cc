@@ -87,6 +87,11 @@ constexpr SettingFlag kFlags[] = {
      "Travelled distance between nodes", "2"},
     {"--check-interval", "check_interval_meters", "M",
      "Travelled distance between checks", "50"},
+    {"--checks", "checks", "",
+     "Whether checks are made where somebody asks, or all of them, and stored",
+     "on-request"},
+    {"--keep-probability", "keep_probability", "P",
+     "Stored checks: least probability of a candidate that is kept", "0.05"},
     {"--max-step", "max_step_meters", "M",
      "Longest step between two poses; a longer one is a jump", "100"},
     {"--apply-inflation,!--no-apply-inflation", "apply_inflation", "",
@@ -227,9 +232,33 @@ Flag AddSettingFlag(const Command& command, const BoundSetting& setting) {
   }
 }
 
-// Drives that are judged keep all that there ever was.
 bool IsRetention(const BoundSetting& setting) {
   return std::string(setting.row->field).rfind("retention.", 0) == 0;
+}
+
+// Drives that are judged keep all poses that there ever were, and are asked
+// check by check.
+bool IsOfDrives(const BoundSetting& setting) {
+  const std::string field = setting.row->field;
+  return !IsRetention(setting) && field != "checks" &&
+         field != "keep_probability";
+}
+
+// Whether the message says anything of it, unlike that of an older server.
+bool IsTold(const BoundSetting& setting) {
+  const FieldDescriptor* const outer = setting.field.outer;
+  if (outer != nullptr &&
+      !setting.settings->GetReflection()->HasField(*setting.settings, outer)) {
+    return false;
+  }
+  const FieldDescriptor* const field = setting.field.field;
+  const Message& holder = *setting.field.HolderIn(setting.settings);
+  const google::protobuf::Reflection& fields = *holder.GetReflection();
+  if (setting.field.type() == FieldDescriptor::CPPTYPE_ENUM) {
+    return fields.GetEnumValue(holder, field) != 0;
+  }
+  return setting.field.type() == FieldDescriptor::CPPTYPE_MESSAGE ||
+         !field->has_presence() || fields.HasField(holder, field);
 }
 
 void SetUsual(const BoundSetting& setting) {
@@ -331,7 +360,7 @@ void AddDriveSettings(const Command& command, v1::VehicleSettings* settings) {
   SetUsualSettings(settings);
   const Command group = UnderVehicleSettings(command);
   for (const BoundSetting& setting : Bind(settings)) {
-    if (IsRetention(setting)) continue;
+    if (!IsOfDrives(setting)) continue;
     if (setting.row->field == std::string("coordinate_frame")) continue;
     AddSettingFlag(group, setting);
   }
@@ -339,18 +368,21 @@ void AddDriveSettings(const Command& command, v1::VehicleSettings* settings) {
 
 void SetUsualSettings(v1::VehicleSettings* settings) {
   for (const BoundSetting& setting : Bind(settings)) {
-    if (!IsRetention(setting)) SetUsual(setting);
+    if (IsOfDrives(setting)) SetUsual(setting);
   }
 }
 
 std::vector<std::string> UnusualSettings(const v1::VehicleSettings& settings) {
   v1::VehicleSettings actual = settings;
   v1::VehicleSettings usual;
-  SetUsualSettings(&usual);
   const std::vector<BoundSetting> usual_ones = Bind(&usual);
+  for (const BoundSetting& setting : usual_ones) {
+    if (!IsRetention(setting)) SetUsual(setting);
+  }
   const std::vector<BoundSetting> actual_ones = Bind(&actual);
   std::vector<std::string> unusual;
   for (std::size_t i = 0; i < actual_ones.size(); ++i) {
+    if (!IsTold(actual_ones[i])) continue;
     const std::string value = ValueText(actual_ones[i]);
     if (value == ValueText(usual_ones[i])) continue;
     // "--use-belief,!--no-use-belief" and "--frame" are the names of flags.
@@ -373,6 +405,8 @@ std::vector<std::pair<std::string, std::string>> DescribeSettings(
       {"node spacing", Meters(settings.node_spacing_meters())},
       {"sequence length", Meters(settings.sequence_length_meters())},
       {"check interval", Meters(settings.check_interval_meters())},
+      {"checks", NameOf(settings.checks())},
+      {"keep probability", Fixed(settings.keep_probability(), 4)},
       {"maximal step", Meters(settings.max_step_meters())},
       {"gate probability", Fixed(settings.gate_probability(), 4)},
       {"acceptance probability", Fixed(settings.acceptance_probability(), 4)},

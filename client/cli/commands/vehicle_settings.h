@@ -22,8 +22,8 @@ void AddVehicleSettings(const Command& command, v1::VehicleSettings* settings);
 void AddSearchSettings(const Command& command, v1::CandidateOptions* options);
 
 // Flags for the settings of a vehicle of a drive file, whose frame is that of
-// the file. Here all settings that have a flag are set, so that what is
-// measured does not depend on the server's defaults.
+// the file, but for those of what is kept. Here all settings that have a flag
+// are set, so that what is measured does not depend on the server's defaults.
 void AddDriveSettings(const Command& command, v1::VehicleSettings* settings);
 
 // Sets what AddDriveSettings() sets where no flag is given.

@@ -68,6 +68,9 @@ void AddPair(const Command& command, VerifiedPair* pair) {
       .AddWholeNumber("MATCHED_SEQ", kSequences, &pair->matched_sequence,
                       "Sequence of the earlier pose")
       .Required();
+  command.AddText("--candidate", "NAME", &pair->candidate,
+                  "The stored candidate that this answers, as revisit watch "
+                  "and checks name it");
 }
 
 }  // namespace
@@ -153,6 +156,7 @@ absl::Status RunConfirm(const Client& client, const VerifiedPair& pair,
                         const Terminal& terminal) {
   v1::AddLoopClosureRequest request;
   request.set_parent(VehicleName(pair.vehicle));
+  request.set_candidate(pair.candidate);
   Fill(pair, request.mutable_loop_closure());
   Fill(measurement, request.mutable_loop_closure());
   const auto response = client.AddLoopClosure(request);
@@ -173,6 +177,7 @@ absl::Status RunReject(const Client& client, const VerifiedPair& pair,
                        const std::string& note, const Terminal& terminal) {
   v1::RejectCandidateRequest request;
   request.set_parent(VehicleName(pair.vehicle));
+  request.set_candidate(pair.candidate);
   Fill(pair, request.mutable_rejected_candidate());
   request.mutable_rejected_candidate()->set_note(note);
   const auto response = client.RejectCandidate(request);

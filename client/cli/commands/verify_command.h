@@ -23,6 +23,8 @@ struct VerifiedPair {
   std::string vehicle;
   std::uint64_t query_sequence = 0;
   std::uint64_t matched_sequence = 0;
+  // Name of the stored candidate that this answers; empty if there is none.
+  std::string candidate = "";
 };
 
 // The verifier's measurement; empty where it measured nothing.

@@ -72,6 +72,20 @@ TEST_F(FlagsTest, TextIsReadByWhoeverWantsIt) {
   EXPECT_EQ(milk, "oat");
 }
 
+TEST_F(FlagsTest, ChoiceIsRepeatedWithAWordEach) {
+  std::vector<int> cups;
+  line_.program().AddRepeatedChoice(
+      "--cup", {{"small", 1}, {"large", 2}},
+      [&](int cup) { cups.push_back(cup); }, "Which cups");
+  const char* words[] = {"bar",   "--cup",  "large", "--cup",
+                         "small", "coffee", "filter"};
+  EXPECT_TRUE(line_.Parse(7, words).ok());
+  EXPECT_THAT(cups, ElementsAre(2, 1));
+  const CommandUsage usage = line_.Usage();
+  EXPECT_TRUE(usage.flags.back().repeated);
+  EXPECT_THAT(usage.flags.back().choices, ElementsAre("large", "small"));
+}
+
 TEST_F(FlagsTest, TextThatIsWrongIsRefused) {
   line_.program().AddText(
       "--milk", "KIND", [](const std::string&) { return "oat"; }, "Which milk");

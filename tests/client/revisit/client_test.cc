@@ -10,6 +10,7 @@
 #include "grpcpp/channel.h"
 #include "gtest/gtest.h"
 #include "tests/client/fake_server.h"
+#include "tests/client/stored_candidates.h"
 
 namespace revisit::client {
 namespace {
@@ -100,6 +101,26 @@ TEST_F(ClientTest, ListsWhatWasDeletedAlsoAfterAFailure) {
   EXPECT_EQ(page->deleted_pose_pairs(0).name(),
             "vehicles/a/deletedPosePairs/10");
   EXPECT_EQ(server_.unary_calls(), 2);
+}
+
+TEST_F(ClientTest, ReadsChecksAlsoAfterAFailure) {
+  server_.set_checks({CheckOf("a", 90, {v1::CANDIDATE_STATE_OPEN}),
+                      CheckOf("a", 100, {v1::CANDIDATE_STATE_OPEN}),
+                      CheckOf("b", 20, {v1::CANDIDATE_STATE_OPEN})});
+  v1::GetCheckRequest get;
+  get.set_name("vehicles/a/checks/100");
+  server_.FailUnaryCalls({StoreUnavailable()});
+  const auto check = client_.GetCheck(get);
+  ASSERT_TRUE(check.ok()) << check.status();
+  EXPECT_EQ(check->check().name(), get.name());
+  v1::ListChecksRequest list;
+  list.set_parent("vehicles/-");
+  server_.FailUnaryCalls({StoreUnavailable()});
+  const auto page = client_.ListChecks(list);
+  ASSERT_TRUE(page.ok()) << page.status();
+  EXPECT_EQ(page->checks_size(), 2);
+  EXPECT_EQ(page->watch_cursor(), "at 0");
+  EXPECT_EQ(server_.unary_calls(), 4);
 }
 
 grpc::Status NotOwner() {

@@ -429,6 +429,16 @@ TEST_F(CommandsTest, ConfirmAddsALoopClosureAndRejectARejection) {
   EXPECT_EQ(answer["revision"], 8);
 }
 
+TEST_F(CommandsTest, FindingsNameTheStoredCandidateThatTheyAnswer) {
+  const std::string name = "vehicles/shuttle/checks/2068/candidates/1";
+  const VerifiedPair pair = {"shuttle", 2068, 1072, name};
+  ASSERT_TRUE(RunConfirm(client_, pair, {}, Text()).ok());
+  ASSERT_TRUE(RunReject(client_, pair, "", Text()).ok());
+  EXPECT_THAT(server_.Decisions(),
+              ::testing::ElementsAre("confirm " + name + " 2068-1072",
+                                     "reject " + name + " 2068-1072"));
+}
+
 TEST_F(CommandsTest, ConfirmSendsWhatTheVerifierMeasured) {
   VerifiedMeasurement measured;
   measured.relative = {1.5, -0.5, 0.25};

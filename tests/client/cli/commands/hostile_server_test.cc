@@ -8,10 +8,12 @@
 #include <functional>
 #include <future>
 #include <limits>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include "client/cli/commands/checks_command.h"
 #include "client/cli/commands/deletions_command.h"
 #include "client/cli/commands/export_command.h"
 #include "client/cli/commands/find_command.h"
@@ -25,12 +27,14 @@
 #include "client/cli/commands/stream_command.h"
 #include "client/cli/commands/vehicle_command.h"
 #include "client/cli/commands/verify_command.h"
+#include "client/cli/commands/watch_command.h"
 #include "client/revisit/status.h"
 #include "gmock/gmock.h"
 #include "google/rpc/error_details.pb.h"
 #include "google/rpc/status.pb.h"
 #include "nlohmann/json.hpp"
 #include "tests/client/cli/commands/command_test.h"
+#include "tests/client/stored_candidates.h"
 
 namespace revisit::client {
 namespace {
@@ -82,6 +86,14 @@ class HostileServerTest : public CommandTest {
       recordings[first - 1].set_frame_state(v1::FRAME_STATE_NONE);
     }
     server_.set_recordings(std::move(recordings));
+    server_.set_checks({CheckOf("a", 90, {v1::CANDIDATE_STATE_OPEN})});
+    server_.AddEvent(EventOf("a", 1));
+    // Watches end once they were told something.
+    server_.FailWatches(
+        [this](const WatchStep& step) -> std::optional<grpc::Status> {
+          if (step.told == 0) return std::nullopt;
+          return MakeStatus(grpc::StatusCode::PERMISSION_DENIED, kHostile);
+        });
   }
   void TearDown() override {
     std::remove(path_.c_str());
@@ -130,6 +142,21 @@ class HostileServerTest : public CommandTest {
         {"show",
          [this](const Terminal& c) { return RunShow(client_, "a", c); }},
         {"find", [=](const Terminal& c) { return RunFind(client_, find, c); }},
+        {"checks",
+         [this](const Terminal& c) {
+           return RunChecksList(client_, {"-", {}}, c);
+         }},
+        {"checks, one",
+         [this](const Terminal& c) {
+           return RunChecksGet(client_, "a", 90, c);
+         }},
+        {"watch",
+         [this](const Terminal& c) {
+           WatchOptions options;
+           options.from_start = true;
+           options.command = "exit 3";
+           return RunWatch(channel_, client_, options, c);
+         }},
         {"closures list",
          [this](const Terminal& c) {
            return RunClosuresList(client_, "a", c);
@@ -254,13 +281,13 @@ TEST_F(HostileServerTest, ListsThatDoNotGoOnEndWithAnError) {
   std::vector<NamedCommand> commands;
   for (NamedCommand& command : Commands()) {
     for (const char* name :
-         {"vehicle list", "closures list", "rejections list", "deletions list",
-          "closures delete", "poses list", "recordings list", "export g2o",
-          "export tum", "export csv", "map html", "revise"}) {
+         {"vehicle list", "checks", "closures list", "rejections list",
+          "deletions list", "closures delete", "poses list", "recordings list",
+          "export g2o", "export tum", "export csv", "map html", "revise"}) {
       if (command.name == name) commands.push_back(command);
     }
   }
-  ASSERT_EQ(commands.size(), 12u);
+  ASSERT_EQ(commands.size(), 13u);
   Append(3);
   for (const ListEnd end :
        {ListEnd::kRepeats, ListEnd::kRepeatsUnderFreshTokens,

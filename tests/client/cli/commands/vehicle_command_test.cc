@@ -1,6 +1,8 @@
 #include "client/cli/commands/vehicle_command.h"
 
 #include "client/cli/commands/info_command.h"
+#include "client/cli/commands/vehicle_settings.h"
+#include "client/cli/flags.h"
 #include "gmock/gmock.h"
 #include "nlohmann/json.hpp"
 #include "tests/client/cli/commands/command_test.h"
@@ -25,6 +27,29 @@ class VehicleCommandTest : public CommandTest {
 
   std::vector<std::string> questions_;
 };
+
+TEST_F(VehicleCommandTest, ChecksAreStoredWhereAFlagSaysSo) {
+  v1::VehicleSettings settings;
+  CommandLine line({"bar", "", "", ""});
+  AddVehicleSettings(line.program(), &settings);
+  line.program().RunsAlone([](const Terminal&) { return absl::OkStatus(); });
+  const char* words[] = {"bar", "--checks", "stored", "--keep-probability",
+                         "0.2"};
+  ASSERT_TRUE(line.Parse(5, words).ok());
+  EXPECT_EQ(settings.checks(), v1::STORED_CHECKS_STORED);
+  EXPECT_EQ(settings.keep_probability(), 0.2);
+  EXPECT_THAT(UnusualSettings(settings),
+              ElementsAre("checks=stored", "keep-probability=0.2"));
+}
+
+TEST_F(VehicleCommandTest, SettingsThatAServerDoesNotTellAreNotUnusual) {
+  EXPECT_THAT(UnusualSettings({}), IsEmpty());
+  v1::VehicleSettings drive;
+  SetUsualSettings(&drive);
+  EXPECT_THAT(UnusualSettings(drive), IsEmpty());
+  // Drives that are judged are asked check by check.
+  EXPECT_EQ(drive.checks(), v1::STORED_CHECKS_UNSPECIFIED);
+}
 
 TEST_F(VehicleCommandTest, DeletionAsksForTheIdAndSaysWhatGoes) {
   Append(3);
