@@ -93,12 +93,17 @@ def test_the_lines_of_documents_run(document, server, client, boreas, tmp_path,
         assert client.get_vehicle(vehicle).durable_sequence > 0
 
 
-def test_the_verifier_is_the_one_that_its_document_shows():
+def test_the_verifiers_are_those_that_their_document_shows():
     shown = re.findall(r"^```py\n(.*?)^```", (ROOT / "docs/verifier.md").read_text(),
                        re.DOTALL | re.MULTILINE)
-    text = (PACKAGE / "examples/verifier.py").read_text()
-    assert len(shown) == 2
-    assert all(textwrap.indent(block, "    ") in text for block in shown)
+    text = "".join((PACKAGE / "examples" / name).read_text()
+                   for name in ("verifier.py", "scan_verifier.py"))
+    found = [block for block in shown
+             if block in text or textwrap.indent(block, "    ") in text]
+    # One changes a setting.
+    assert [block for block in shown if block not in found] == [
+        'client.update_vehicle("shuttle-7", checks="stored")\n']
+    assert len(found) == 4
 
 
 def test_the_verifier_prints_what_its_document_shows(server, client):

@@ -46,6 +46,22 @@ def settle(client: revisit.Client, bar: revisit.ProgressBar) -> list[str]:
     name: str = made.name
     return [name, *(one.message for one in ack.warnings)]
 
+def verify(client: revisit.Client) -> str:
+    checks = client.list_checks("a", states=["open", v1.CANDIDATE_STATE_CONFIRMED])
+    first: v1.Check = next(checks)
+    for event in client.watch(["a"], cursor=checks.watch_cursor(), states="open"):
+        if event.candidate is not None:
+            added = event.confirm((1.0, 2.0, 0.1), np.eye(3), note=first.name)
+            return added.loop_closure.name + event.candidate.name + event.cursor
+    return client.get_check("vehicles/a/checks/7").name
+
+async def verify_awaited(client: revisit.aio.Client) -> str:
+    watch = client.watch(cursor_file=revisit.CursorFile("x"), from_start=True)
+    async for event in watch:
+        await event.reject(note="icp")
+        return event.vehicle_uid
+    return await client.list_checks().watch_cursor()
+
 async def follow(client: revisit.aio.Client) -> float:
     async with client.stream_poses("a") as stream:
         await stream.append(revisit.read_recording("drive.csv"))
@@ -66,6 +82,8 @@ def drive(client: revisit.Client) -> None:
     client.create_vehicle("a", max_candidate=3)
     client.create_vehicle("a", max_candidates="three")
     revisit.aio.Client("").get_vehicle("a").name
+    for event in client.watch(states=None):
+        event.candidate.name
 '''
 
 
@@ -191,7 +209,7 @@ def test_its_users_are_checked_by_its_types(tmp_path):
     checked = mypy("bad.py", cwd=tmp_path)
     assert re.findall(r"bad.py:\d+: error: .*\[([\w-]+)\]", checked.stdout) == [
         "arg-type", "attr-defined", "arg-type", "call-arg", "call-arg", "arg-type",
-        "attr-defined"]
+        "attr-defined", "union-attr"]
 
 
 @pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")),

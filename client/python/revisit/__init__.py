@@ -16,6 +16,7 @@ from revisit._version import __version__
 from revisit.arrays import Poses
 from revisit.backoff import BackoffOptions
 from revisit.client import Client
+from revisit.cursor_file import CursorFile
 from revisit.errors import (
     Aborted,
     AlreadyExists,
@@ -51,15 +52,16 @@ from revisit.tables import (
     node_table,
     recording_table,
 )
+from revisit.watch import CheckList, Watch, WatchEvent
 
 __all__ = [
-    "Aborted", "AlreadyExists", "BackoffOptions", "Cancelled", "Client", "DataLoss",
-    "DeadlineExceeded", "Error", "FailedPrecondition", "FieldViolation", "Internal",
-    "InvalidArgument", "Map", "NotFound", "OutOfRange", "PermissionDenied",
-    "PoseGraph", "PoseStream", "Poses", "ProgressBar", "QuotaViolation",
-    "RecordingError", "ResourceExhausted", "StreamCallbacks", "StreamOptions",
-    "Table", "Unauthenticated", "Unavailable", "Unimplemented", "VehicleReplaced",
-    "__version__", "aio", "candidate_table", "check_table", "edge_table",
-    "iter_recording", "node_table", "read_recording", "recording_start",
-    "recording_table", "v1",
+    "Aborted", "AlreadyExists", "BackoffOptions", "Cancelled", "CheckList",
+    "Client", "CursorFile", "DataLoss", "DeadlineExceeded", "Error",
+    "FailedPrecondition", "FieldViolation", "Internal", "InvalidArgument", "Map",
+    "NotFound", "OutOfRange", "PermissionDenied", "PoseGraph", "PoseStream",
+    "Poses", "ProgressBar", "QuotaViolation", "RecordingError", "ResourceExhausted",
+    "StreamCallbacks", "StreamOptions", "Table", "Unauthenticated", "Unavailable",
+    "Unimplemented", "VehicleReplaced", "Watch", "WatchEvent", "__version__", "aio",
+    "candidate_table", "check_table", "edge_table", "iter_recording", "node_table",
+    "read_recording", "recording_start", "recording_table", "v1",
 ]

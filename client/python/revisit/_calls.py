@@ -3,6 +3,7 @@ answer is handed out. The blocking client and that of asyncio make the same ones
 
 from __future__ import annotations
 
+import collections
 import dataclasses
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Callable, Generic, Optional, TypeVar, Union
@@ -12,13 +13,17 @@ from google.protobuf import field_mask_pb2
 from numpy.typing import ArrayLike
 
 from revisit import v1
-from revisit._settings import merged
+from revisit._settings import merged, number_of
 from revisit.arrays import Poses, PosesLike, to_covariances
 from revisit.errors import Internal
 from revisit.stream_options import ProgressBar
 from revisit.tables import PoseGraph, edge_table, node_table
 
 _T = TypeVar("_T")
+#: By id or resource name; None for all.
+Vehicles = Union[str, Iterable[str], None]
+#: One value of an enum or several, by number or by name as in settings.
+Words = Union[str, int, Iterable[Union[str, int]], None]
 _Pair = TypeVar("_Pair", v1.LoopClosure, v1.RejectedCandidate)
 
 #: Calls of which two are not the same as one: between two attempts another caller
@@ -34,8 +39,12 @@ _POSES_PAGE = 10_000
 _PAGE = 1000
 #: Deleted pairs, which may be larger.
 _DELETED_PAGE = 500
+#: Checks on a page, which have all candidates of a search.
+_CHECKS_PAGE = 200
 #: Empty pages that may follow each other. The service sends none before the last.
 _MOST_EMPTY_PAGES = 100
+#: The same of checks, of which a filter may leave out many pages.
+_MOST_EMPTY_PAGES_OF_CHECKS = 100_000
 
 
 def vehicle_name(vehicle: str) -> str:
@@ -78,12 +87,14 @@ class Pages(Generic[_T]):
     """A list that is read page by page: `request` is for the next one."""
 
     def __init__(self, method: str, request: Any, field: str,
-                 order: Callable[[Any], Any] = lambda item: item.name) -> None:
+                 order: Callable[[Any], Any] = lambda item: item.name,
+                 most_empty_pages: int = _MOST_EMPTY_PAGES) -> None:
         """`field` of an answer has what is on a page, in ascending `order`."""
         self._method = method
         self._request = request
         self._field = field
         self._order = order
+        self._most_empty_pages = most_empty_pages
         self._last: Any = None
         self._empty_pages = 0
 
@@ -108,7 +119,7 @@ class Pages(Generic[_T]):
             return False
         self._empty_pages = (0 if getattr(page, self._field)
                              else self._empty_pages + 1)
-        if self._empty_pages > _MOST_EMPTY_PAGES:
+        if self._empty_pages > self._most_empty_pages:
             raise Internal(f"the server's list does not go on: {self._empty_pages} "
                            "empty pages follow each other, and each names another")
         self._request.page_token = page.next_page_token
@@ -292,7 +303,7 @@ def _measurement(relative: ArrayLike,
 def add_loop_closure(vehicle: str, query: Union[int, v1.Candidate, v1.LoopClosure],
                      matched: Optional[int], relative: Optional[ArrayLike],
                      covariance: Optional[ArrayLike], score: Optional[float],
-                     note: str, loop_closure_id: str
+                     note: str, loop_closure_id: str, candidate: str
                      ) -> Call[v1.AddLoopClosureResponse]:
     made = v1.LoopClosure()
     made.CopyFrom(_pair(query, matched, v1.LoopClosure, note))
@@ -304,7 +315,7 @@ def add_loop_closure(vehicle: str, query: Union[int, v1.Candidate, v1.LoopClosur
         made.score = score
     return unary("AddLoopClosure", v1.AddLoopClosureRequest(
         parent=vehicle_name(vehicle), loop_closure_id=loop_closure_id,
-        loop_closure=made))
+        loop_closure=made, candidate=candidate))
 
 
 def list_loop_closures(vehicle: str) -> Pages[v1.LoopClosure]:
@@ -318,11 +329,12 @@ def delete_loop_closure(name: str) -> Call[Any]:
 
 def reject_candidate(vehicle: str,
                      query: Union[int, v1.Candidate, v1.RejectedCandidate],
-                     matched: Optional[int], note: str, rejected_candidate_id: str
-                     ) -> Call[v1.RejectCandidateResponse]:
+                     matched: Optional[int], note: str, rejected_candidate_id: str,
+                     candidate: str) -> Call[v1.RejectCandidateResponse]:
     return unary("RejectCandidate", v1.RejectCandidateRequest(
         parent=vehicle_name(vehicle), rejected_candidate_id=rejected_candidate_id,
-        rejected_candidate=_pair(query, matched, v1.RejectedCandidate, note)))
+        rejected_candidate=_pair(query, matched, v1.RejectedCandidate, note),
+        candidate=candidate))
 
 
 def list_rejected_candidates(vehicle: str) -> Pages[v1.RejectedCandidate]:
@@ -345,6 +357,71 @@ def list_deleted_pose_pairs(vehicle: str) -> Pages[v1.DeletedPosePair]:
     return Pages("ListDeletedPosePairs", v1.ListDeletedPosePairsRequest(
         parent=vehicle_name(vehicle), page_size=_DELETED_PAGE), "deleted_pose_pairs",
         order=_deletion_order)
+
+
+# Checks that are stored.
+
+
+def candidate_filter(vehicles: Vehicles, states: Words, verdicts: Words,
+                     least_probability: Optional[float]) -> v1.CandidateFilter:
+    if isinstance(vehicles, str):
+        vehicles = (vehicles,)
+    return v1.CandidateFilter(
+        vehicles=[vehicle_name(vehicle) for vehicle in vehicles or ()],
+        states=_numbers(v1.CandidateState, "states", states),
+        verdicts=_numbers(v1.Verdict, "verdicts", verdicts),
+        least_probability=least_probability)
+
+
+def _numbers(enum: Any, name: str, words: Words) -> list[Any]:
+    if words is None:
+        return []
+    if isinstance(words, (str, int)):
+        words = (words,)
+    return [number_of(enum.DESCRIPTOR, name, word) for word in words]
+
+
+def get_check(name: str) -> Call[v1.Check]:
+    def check(answer: v1.GetCheckResponse) -> v1.Check:
+        return answer.check
+
+    return unary("GetCheck", v1.GetCheckRequest(name=name), check)
+
+
+def vehicle_of(name: str) -> str:
+    """The vehicle that something of this resource name belongs to."""
+    return "/".join(name.split("/")[:2])
+
+
+def _check_order(check: v1.Check) -> tuple[str, int]:
+    number = check.name.rpartition("/")[2]
+    return vehicle_of(check.name), int(number) if number.isdecimal() else 0
+
+
+class CheckPages:
+    """The checks of a list, page by page."""
+
+    def __init__(self, vehicle: str, wanted: v1.CandidateFilter) -> None:
+        self._pages: Pages[v1.Check] = Pages("ListChecks", v1.ListChecksRequest(
+            parent=vehicle_name(vehicle), page_size=_CHECKS_PAGE, filter=wanted),
+            "checks", order=_check_order,
+            most_empty_pages=_MOST_EMPTY_PAGES_OF_CHECKS)
+        #: Of the pages that were read, those that nobody has taken yet.
+        self.checks: collections.deque[v1.Check] = collections.deque()
+        #: Of the first page; None before it was read.
+        self.watch_cursor: Optional[str] = None
+        #: Whether the last page was read.
+        self.is_read = False
+
+    def call(self) -> Call[Any]:
+        """For the next page."""
+        return self._pages.call()
+
+    def take(self, page: v1.ListChecksResponse) -> None:
+        if self.watch_cursor is None:
+            self.watch_cursor = page.watch_cursor
+        self.checks.extend(self._pages.items(page))
+        self.is_read = not self._pages.turn(page)
 
 
 def server_info() -> Call[v1.GetServerInfoResponse]:

@@ -11,7 +11,7 @@ from revisit import v1
 _T = TypeVar("_T", v1.VehicleSettings, v1.CandidateOptions)
 
 
-def _number_of(enum: Any, name: str, word: Union[str, int]) -> Any:
+def number_of(enum: Any, name: str, word: Union[str, int]) -> Any:
     """The value of an enum by its name without what all of them begin with, in the
     letters of the API or of the command line: "DEAD_RECKONING", "dead-reckoning"."""
     if not isinstance(word, str):
@@ -39,7 +39,7 @@ def merged(kind: type[_T], base: Optional[_T],
             hint = f"; did you mean {near[0]}?" if near else ""
             raise TypeError(f"there is no setting {name}{hint}")
         if fields[name].enum_type is not None:
-            value = _number_of(fields[name].enum_type, name, value)
+            value = number_of(fields[name].enum_type, name, value)
         # None is no value: it leaves the field out.
         values[name] = value
     made = kind()

@@ -38,7 +38,8 @@ _LARGEST_ROW_BYTES = 1024
 Sized = list[tuple[v1.Pose, int]]
 
 
-def _worth_another_connection(error: BaseException, was_opened: bool) -> bool:
+def worth_another_connection(error: BaseException, was_opened: bool) -> bool:
+    """Whether a stream that ended with this error may go on over a new connection."""
     if isinstance(error, Unauthenticated):
         # Whoever renews tokens may be late.
         return was_opened and error.reason == "TOKEN_EXPIRED"
@@ -338,7 +339,7 @@ class StreamState:
                          error: Optional[BaseException]) -> Optional[float]:
         """How many seconds to wait before another connection, after one that ended
         with this error; None if the stream has ended."""
-        if error is None or self.cancelled or not _worth_another_connection(
+        if error is None or self.cancelled or not worth_another_connection(
                 error, self.first_durable is not None):
             self.end(error)
             return None

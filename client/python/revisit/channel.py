@@ -150,6 +150,10 @@ class Channels:
     def _close_channel(self, channel: Any) -> None:
         channel.close()
 
+    @property
+    def is_closed(self) -> bool:
+        return self._closed
+
     @contextlib.contextmanager
     def lease(self) -> Iterator[Lease]:
         """The newest channel, for one call. Cancelled after `close()`."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 import weakref
 from collections.abc import Iterable, Iterator, Mapping
@@ -12,16 +13,19 @@ import grpc
 from numpy.typing import ArrayLike
 
 from revisit import _calls, maps, v1
-from revisit._calls import Call, Pages, vehicle_name
+from revisit._calls import Call, Pages, Vehicles, Words, vehicle_name
 from revisit._retries import CallOptions
 from revisit._stream_state import StreamState, log_warnings
+from revisit._watch_state import WatchState
 from revisit.arrays import Poses, PosesLike
 from revisit.backoff import BackoffOptions
 from revisit.channel import Caller, ChannelOptions, Channels, PathLike, stub_of
+from revisit.cursor_file import CursorFile
 from revisit.errors import from_rpc_error
 from revisit.pose_stream import PoseStream
 from revisit.stream_options import ProgressBar, StreamCallbacks, StreamOptions
 from revisit.tables import PoseGraph
+from revisit.watch import CheckList, Watch, WatchEvent
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -69,13 +73,16 @@ class Client:
         self._channels = Channels(ChannelOptions(
             address, tls_authorities, tls_certificate, tls_key, token_file))
         self._streams: weakref.WeakSet[PoseStream] = weakref.WeakSet()
+        self._watches: weakref.WeakSet[Watch] = weakref.WeakSet()
 
     def close(self) -> None:
-        """Ends the streams and the connection. Calls that run end with
-        Cancelled."""
+        """Ends the streams and the connection. Calls that run and loops over watches
+        end with Cancelled."""
         for stream in list(self._streams):
             stream.close()
         self._channels.close()
+        for watch in list(self._watches):
+            watch.close()
 
     def __enter__(self) -> Client:
         return self
@@ -256,7 +263,8 @@ class Client:
                          relative: Optional[ArrayLike] = None,
                          covariance: Optional[ArrayLike] = None,
                          score: Optional[float] = None, note: str = "",
-                         loop_closure_id: str = "") -> v1.AddLoopClosureResponse:
+                         loop_closure_id: str = "", candidate: str = ""
+                         ) -> v1.AddLoopClosureResponse:
         """Reports that a verifier found two poses to be one place: those of a
         candidate, or those of two sequences, the later one first.
 
@@ -272,10 +280,14 @@ class Client:
         how well they fit the graph.
 
         A v1.LoopClosure is taken as it is; ValueError for a note beside it, since it
-        has its own."""
+        has its own.
+
+        `candidate` is the name of the stored candidate that this answers
+        (v1.CheckCandidate.name), which becomes CONFIRMED. So do, without a name, all
+        whose two places are within 10 m of these."""
         return self._run(_calls.add_loop_closure(
             vehicle, query, matched, relative, covariance, score, note,
-            loop_closure_id))
+            loop_closure_id, candidate))
 
     def list_loop_closures(self, vehicle: str) -> Iterator[v1.LoopClosure]:
         """A vehicle's loop closures, by name."""
@@ -288,13 +300,13 @@ class Client:
     def reject_candidate(self, vehicle: str,
                          query: Union[int, v1.Candidate, v1.RejectedCandidate],
                          matched: Optional[int] = None, *, note: str = "",
-                         rejected_candidate_id: str = ""
+                         rejected_candidate_id: str = "", candidate: str = ""
                          ) -> v1.RejectCandidateResponse:
         """Reports that a verifier found a candidate, or the poses of two sequences,
         not to be a revisit: it is not offered again. The note is for people, as for
-        `add_loop_closure()`."""
+        `add_loop_closure()`; `candidate` is the stored one, which becomes REJECTED."""
         return self._run(_calls.reject_candidate(vehicle, query, matched, note,
-                                                 rejected_candidate_id))
+                                                 rejected_candidate_id, candidate))
 
     def list_rejected_candidates(self, vehicle: str
                                  ) -> Iterator[v1.RejectedCandidate]:
@@ -310,6 +322,60 @@ class Client:
         """A vehicle's last 1000 loop closures and rejections that were deleted, the
         last one first: what was decided, and who undid it when."""
         return self._pages(_calls.list_deleted_pose_pairs(vehicle))
+
+    # Checks that are stored, of vehicles whose setting `checks` asks for it.
+
+    def get_check(self, name: str) -> v1.Check:
+        """A stored check with what became of its candidates, by its resource name.
+        NotFound where none was made, where it found nothing worth keeping, and once it
+        is kept no longer."""
+        return self._run(_calls.get_check(name))
+
+    def list_checks(self, vehicle: str = "-", *, states: Words = None,
+                    verdicts: Words = None, least_probability: Optional[float] = None
+                    ) -> CheckList:
+        """Stored checks of a vehicle by sequence, or of all vehicles that the caller
+        may read, that have a candidate of one of these states and verdicts, at least so
+        probable. Each has all of its candidates.
+
+            open_ones = client.list_checks("shuttle-7", states="open")
+
+        The list's `watch_cursor()` is where `watch()` goes on."""
+        wanted = _calls.candidate_filter(None, states, verdicts, least_probability)
+        return CheckList(self, _calls.CheckPages(vehicle, wanted))
+
+    def watch(self, vehicles: Vehicles = None, *, cursor: Optional[str] = None,
+              cursor_file: Union[CursorFile, PathLike, None] = None,
+              states: Words = None, verdicts: Words = None,
+              least_probability: Optional[float] = None,
+              from_start: bool = False) -> Watch:
+        """Every change of a stored candidate, without end: of these vehicles, at most
+        100, or of all that the caller may read; those of a vehicle in their order.
+
+            for event in client.watch(cursor_file="verifier.cursor", states="open"):
+                if event.candidate is not None:
+                    print(event.candidate.name, event.evidence.probability)
+
+        Goes on behind a cursor that was kept, `event.cursor` or `watch.cursor`, or
+        behind that of a file, which is kept there once an event was worked off: when
+        the loop asks for the next one. So an event on which the program dies comes
+        again. An event that the server repeats is left out. Without a cursor the watch
+        begins now or, with `from_start`, with all candidates that are stored.
+
+        Where the connection is lost, and where the loop took so long that the server
+        gave up (SLOW_CONSUMER), it is made again with the client's back-off, however
+        often. Where the cursor cannot be served (CURSOR_TOO_OLD, CURSOR_UNKNOWN), all
+        stored candidates come as events that are `resynchronised`, then what changes
+        from then on. Deletions of vehicles come whatever the states, verdicts and
+        probability are. Connects once it is iterated; the first connection too is
+        tried for ever."""
+        watch = Watch(self, self._channels, self._caller, WatchState(
+            _calls.candidate_filter(vehicles, states, verdicts, least_probability),
+            cursor=cursor, cursor_file=cursor_file, from_start=from_start,
+            backoff=self._options.backoff,
+            make=functools.partial(WatchEvent, client=self)))
+        self._watches.add(watch)
+        return watch
 
     def server_info(self) -> v1.GetServerInfoResponse:
         """Version, limits, and what an acknowledgement is worth."""

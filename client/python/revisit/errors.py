@@ -161,7 +161,8 @@ class Aborted(Error):
 
 
 class OutOfRange(Error):
-    """The call asks for more work than the server allows for one call."""
+    """The call asks for more work than the server allows for one call, or for what is
+    not kept any more."""
 
     code = grpc.StatusCode.OUT_OF_RANGE
 

@@ -14,5 +14,6 @@ blocking client. One client is for one event loop.
 
 from revisit.aio.client import Client
 from revisit.aio.pose_stream import PoseStream
+from revisit.aio.watch import CheckList, Watch, WatchEvent
 
-__all__ = ["Client", "PoseStream"]
+__all__ = ["CheckList", "Client", "PoseStream", "Watch", "WatchEvent"]

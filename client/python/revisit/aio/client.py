@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import weakref
 from collections.abc import AsyncIterator, Iterable, Mapping
 from types import TracebackType
@@ -12,14 +13,17 @@ import grpc
 from numpy.typing import ArrayLike
 
 from revisit import _calls, client, maps, v1
-from revisit._calls import Call, Pages, vehicle_name
+from revisit._calls import Call, Pages, Vehicles, Words, vehicle_name
 from revisit._retries import CallOptions
 from revisit._stream_state import StreamState, log_warnings
+from revisit._watch_state import WatchState
 from revisit.aio._channels import AioChannels
 from revisit.aio.pose_stream import PoseStream, document
+from revisit.aio.watch import CheckList, Watch, WatchEvent
 from revisit.arrays import Poses, PosesLike
 from revisit.backoff import BackoffOptions
 from revisit.channel import Caller, ChannelOptions, PathLike, stub_of
+from revisit.cursor_file import CursorFile
 from revisit.errors import Cancelled, from_rpc_error
 from revisit.stream_options import ProgressBar, StreamCallbacks, StreamOptions
 from revisit.tables import PoseGraph
@@ -61,12 +65,15 @@ class Client:
             address, tls_authorities, tls_certificate, tls_key, token_file))
         self._closed = False
         self._streams: weakref.WeakSet[PoseStream] = weakref.WeakSet()
+        self._watches: weakref.WeakSet[Watch] = weakref.WeakSet()
 
     async def close(self) -> None:
         self._closed = True
         for stream in list(self._streams):
             await stream.close()
         await self._channels.aclose()
+        for watch in list(self._watches):
+            await watch.close()
 
     async def __aenter__(self) -> Client:
         return self
@@ -212,10 +219,11 @@ class Client:
                                relative: Optional[ArrayLike] = None,
                                covariance: Optional[ArrayLike] = None,
                                score: Optional[float] = None, note: str = "",
-                               loop_closure_id: str = "") -> v1.AddLoopClosureResponse:
+                               loop_closure_id: str = "", candidate: str = ""
+                               ) -> v1.AddLoopClosureResponse:
         return await self._run(_calls.add_loop_closure(
             vehicle, query, matched, relative, covariance, score, note,
-            loop_closure_id))
+            loop_closure_id, candidate))
 
     def list_loop_closures(self, vehicle: str) -> AsyncIterator[v1.LoopClosure]:
         return self._pages(_calls.list_loop_closures(vehicle))
@@ -226,10 +234,10 @@ class Client:
     async def reject_candidate(self, vehicle: str,
                                query: Union[int, v1.Candidate, v1.RejectedCandidate],
                                matched: Optional[int] = None, *, note: str = "",
-                               rejected_candidate_id: str = ""
+                               rejected_candidate_id: str = "", candidate: str = ""
                                ) -> v1.RejectCandidateResponse:
         return await self._run(_calls.reject_candidate(
-            vehicle, query, matched, note, rejected_candidate_id))
+            vehicle, query, matched, note, rejected_candidate_id, candidate))
 
     def list_rejected_candidates(self, vehicle: str
                                  ) -> AsyncIterator[v1.RejectedCandidate]:
@@ -241,6 +249,30 @@ class Client:
     def list_deleted_pose_pairs(self, vehicle: str
                                 ) -> AsyncIterator[v1.DeletedPosePair]:
         return self._pages(_calls.list_deleted_pose_pairs(vehicle))
+
+    # Checks that are stored, of vehicles whose setting `checks` asks for it.
+
+    async def get_check(self, name: str) -> v1.Check:
+        return await self._run(_calls.get_check(name))
+
+    def list_checks(self, vehicle: str = "-", *, states: Words = None,
+                    verdicts: Words = None, least_probability: Optional[float] = None
+                    ) -> CheckList:
+        wanted = _calls.candidate_filter(None, states, verdicts, least_probability)
+        return CheckList(self, _calls.CheckPages(vehicle, wanted))
+
+    def watch(self, vehicles: Vehicles = None, *, cursor: Optional[str] = None,
+              cursor_file: Union[CursorFile, PathLike, None] = None,
+              states: Words = None, verdicts: Words = None,
+              least_probability: Optional[float] = None,
+              from_start: bool = False) -> Watch:
+        watch = Watch(self, self._channels, self._caller, WatchState(
+            _calls.candidate_filter(vehicles, states, verdicts, least_probability),
+            cursor=cursor, cursor_file=cursor_file, from_start=from_start,
+            backoff=self._options.backoff,
+            make=functools.partial(WatchEvent, client=self)))
+        self._watches.add(watch)
+        return watch
 
     async def server_info(self) -> v1.GetServerInfoResponse:
         return await self._run(_calls.server_info())
