@@ -12,6 +12,7 @@ import time
 from cut_proxy import CutProxy
 from revisit_server import Server, clean_environment, wait_until
 from stubs import ROOT, api
+from watch_service import CURSORS, LINES, WatchService, serving
 from wire import BOREAS, as_bytes, boreas, get, list_poses
 
 BUILD = ROOT / "build/examples"
@@ -216,6 +217,27 @@ def check_again(language, folder, server, vehicle_id, last):
            and "candidate: " not in output, f"again, it ends with {code}:", output)
 
 
+def check_watch(language, folder):
+    """The watch goes on where it was after whatever breaks it."""
+    (folder / "watch.cursor").unlink(missing_ok=True)
+    fake = WatchService()
+    log = BUILD / f"{language}-watch.log"
+    with serving(fake) as address:
+        command = commands(language, "watch").replace(ARGUMENTS[0], address)
+        process = shell(command, folder, RUN_SECONDS, log)
+        try:
+            wait_until(lambda: (folder / "watch.cursor").exists()
+                       and (folder / "watch.cursor").read_text() == "after-6"
+                       or process.poll() is not None, "last event", RUN_SECONDS)
+        finally:
+            process.terminate()
+            process.wait()
+    lines = log.read_text().splitlines()
+    expect(len(lines) == len(LINES) and all(map(str.startswith, lines, LINES)),
+           "its watch should print:", *LINES, "but printed:", *lines)
+    expect(fake.cursors == CURSORS, "its watch goes on from", fake.cursors)
+
+
 def try_example(language):
     folder = copy(language)
     begin = time.monotonic()
@@ -232,6 +254,7 @@ def try_example(language):
         check_candidates(output, server.stub(), vehicle)
         check_error(output)
         check_again(language, folder, server, vehicle_id, last)
+    check_watch(language, folder)
     return built - begin, time.monotonic() - built
 
 

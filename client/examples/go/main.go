@@ -2,6 +2,10 @@
 // before, and confirms one of these places.
 //
 // usage: integrate ADDRESS FILE VEHICLE_ID
+//
+// With two arguments it prints what becomes of stored candidates instead.
+//
+// usage: integrate ADDRESS CURSOR_FILE
 package main
 
 import (
@@ -23,19 +27,15 @@ import (
 
 func main() {
 	log.SetFlags(0)
-	if len(os.Args) != 4 {
-		log.Fatal("usage: integrate ADDRESS FILE VEHICLE_ID")
+	if len(os.Args) != 3 && len(os.Args) != 4 {
+		log.Fatal("usage: integrate ADDRESS FILE VEHICLE_ID | integrate ADDRESS CURSOR_FILE")
 	}
-	if err := run(context.Background(), os.Args[1], os.Args[2], os.Args[3]); err != nil {
+	if err := run(context.Background(), os.Args[1], os.Args[2:]); err != nil {
 		log.Fatal(err)
 	}
 }
 
-func run(ctx context.Context, address, path, vehicleID string) error {
-	poses, err := readDrive(path)
-	if err != nil {
-		return err
-	}
+func run(ctx context.Context, address string, arguments []string) error {
 	conn, err := grpc.NewClient(address,
 		grpc.WithTransportCredentials(insecure.NewCredentials()),
 		// A connection whose other end has vanished is noticed after half a minute.
@@ -47,7 +47,18 @@ func run(ctx context.Context, address, path, vehicleID string) error {
 	}
 	defer conn.Close()
 	client := revisitv1.NewPoseGraphServiceClient(conn)
+	if len(arguments) == 1 {
+		return watch(ctx, client, arguments[0])
+	}
+	return integrate(ctx, client, arguments[0], arguments[1])
+}
 
+func integrate(ctx context.Context, client revisitv1.PoseGraphServiceClient,
+	path, vehicleID string) error {
+	poses, err := readDrive(path)
+	if err != nil {
+		return err
+	}
 	created, err := client.CreateVehicle(ctx, &revisitv1.CreateVehicleRequest{VehicleId: vehicleID})
 	if err != nil {
 		return err

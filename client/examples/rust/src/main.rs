@@ -2,6 +2,10 @@
 //! one of these places.
 //!
 //! usage: integrate ADDRESS FILE VEHICLE_ID
+//!
+//! With two arguments it prints what becomes of stored candidates instead.
+//!
+//! usage: integrate ADDRESS CURSOR_FILE
 
 use std::{error::Error, time::Duration};
 
@@ -14,6 +18,7 @@ use tonic_types::StatusExt;
 mod drive;
 mod retry;
 mod stream;
+mod watch;
 
 pub mod revisit {
     pub mod v1 {
@@ -31,19 +36,30 @@ type Client = PoseGraphServiceClient<Channel>;
 #[tokio::main(flavor = "current_thread")]
 async fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let [address, path, vehicle_id] = arguments.as_slice() else {
-        return Err("usage: integrate ADDRESS FILE VEHICLE_ID".into());
-    };
-    let poses = drive::read(path)?;
-    // A connection whose other end has vanished is noticed after half a minute.
-    let channel = Endpoint::from_shared(format!("http://{address}"))?
-        .http2_keep_alive_interval(Duration::from_secs(20))
-        .keep_alive_timeout(Duration::from_secs(10))
-        .connect_lazy();
-    let mut client = Client::new(channel);
+    match arguments.as_slice() {
+        [address, path, vehicle_id] => integrate(connect(address)?, path, vehicle_id).await,
+        [address, path] => {
+            watch::CandidateWatcher::new(connect(address)?, path)
+                .run()
+                .await
+        }
+        _ => Err("usage: integrate ADDRESS FILE VEHICLE_ID | integrate ADDRESS CURSOR_FILE".into()),
+    }
+}
 
+/// A client that connects once it is used.
+fn connect(address: &str) -> Result<Client, tonic::transport::Error> {
+    // A connection whose other end has vanished is noticed after half a minute.
+    let endpoint = Endpoint::from_shared(format!("http://{address}"))?
+        .http2_keep_alive_interval(Duration::from_secs(20))
+        .keep_alive_timeout(Duration::from_secs(10));
+    Ok(Client::new(endpoint.connect_lazy()))
+}
+
+async fn integrate(mut client: Client, path: &str, vehicle_id: &str) -> Result<(), Box<dyn Error>> {
+    let poses = drive::read(path)?;
     let request = CreateVehicleRequest {
-        vehicle_id: vehicle_id.clone(),
+        vehicle_id: vehicle_id.into(),
         vehicle: None,
     };
     let created = client.create_vehicle(request).await?.into_inner();

@@ -3,6 +3,10 @@
  * one of these places.
  *
  * usage: integrate.js ADDRESS FILE VEHICLE_ID
+ *
+ * With two arguments it prints what becomes of stored candidates instead.
+ *
+ * usage: integrate.js ADDRESS CURSOR_FILE
  */
 import { ClientError, createChannel, createClientFactory, Status } from "nice-grpc";
 import { errorDetailsClientMiddleware } from "nice-grpc-error-details";
@@ -17,9 +21,9 @@ import { Vehicle } from "../gen/revisit/v1/vehicle.js";
 import { detailsOf } from "./details.js";
 import { readDrive } from "./drive.js";
 import { stream } from "./stream.js";
+import { watch } from "./watch.js";
 
-async function main(address: string, path: string, vehicleId: string): Promise<void> {
-  const poses = readDrive(path);
+async function main(address: string, path: string, vehicleId?: string): Promise<void> {
   const channel = createChannel(address, undefined, {
     // A connection whose other end has vanished is noticed after half a minute.
     "grpc.keepalive_time_ms": 20_000,
@@ -31,17 +35,30 @@ async function main(address: string, path: string, vehicleId: string): Promise<v
     .use(errorDetailsClientMiddleware)
     .create(PoseGraphServiceDefinition, channel);
   try {
-    const { vehicle } = await client.createVehicle({ vehicleId });
-    console.log(`vehicle: ${vehicle!.name}, uid ${vehicle!.uid}`);
-    const accepted = await stream(client, vehicle!, poses);
-    console.log(`durable: all ${poses.length} poses`);
-    if (accepted.length > 0) {
-      await confirm(client, vehicle!, accepted);
+    if (vehicleId === undefined) {
+      await watch(client, path);
+    } else {
+      await integrate(client, path, vehicleId);
     }
-    await showError(client, vehicle!, poses[poses.length - 1]);
   } finally {
     channel.close();
   }
+}
+
+async function integrate(
+  client: PoseGraphServiceClient,
+  path: string,
+  vehicleId: string,
+): Promise<void> {
+  const poses = readDrive(path);
+  const { vehicle } = await client.createVehicle({ vehicleId });
+  console.log(`vehicle: ${vehicle!.name}, uid ${vehicle!.uid}`);
+  const accepted = await stream(client, vehicle!, poses);
+  console.log(`durable: all ${poses.length} poses`);
+  if (accepted.length > 0) {
+    await confirm(client, vehicle!, accepted);
+  }
+  await showError(client, vehicle!, poses[poses.length - 1]);
 }
 
 /**
@@ -100,9 +117,11 @@ async function showError(
   }
 }
 
-if (process.argv.length !== 5) {
-  console.error("usage: integrate.js ADDRESS FILE VEHICLE_ID");
+const [address, path, vehicleId, ...others] = process.argv.slice(2);
+if (path === undefined || others.length > 0) {
+  console.error(
+    "usage: integrate.js ADDRESS FILE VEHICLE_ID | integrate.js ADDRESS CURSOR_FILE",
+  );
   process.exit(64);
 }
-const [address, path, vehicleId] = process.argv.slice(2);
 await main(address, path, vehicleId);

@@ -23,24 +23,33 @@ import revisit.v1.Vehicle;
 /**
  * Streams a drive to revisit, prints where the vehicle has been before, and confirms one of these
  * places. Arguments: address, file, id of the vehicle.
+ *
+ * <p>With two arguments, address and a file that keeps the cursor, it prints what becomes of stored
+ * candidates instead.
  */
 public final class Integrate {
   private Integrate() {}
 
   public static void main(String[] arguments) throws Exception {
-    if (arguments.length != 3) {
-      System.err.println("usage: Integrate ADDRESS FILE VEHICLE_ID");
+    if (arguments.length != 2 && arguments.length != 3) {
+      System.err.println(
+          "usage: Integrate ADDRESS FILE VEHICLE_ID | Integrate ADDRESS CURSOR_FILE");
       System.exit(64);
     }
-    List<Pose> poses = Drive.read(Path.of(arguments[1]));
+    Path path = Path.of(arguments[1]);
     ManagedChannel channel =
         Grpc.newChannelBuilder(arguments[0], InsecureChannelCredentials.create())
             // A connection whose other end has vanished is noticed after half a minute.
             .keepAliveTime(20, TimeUnit.SECONDS)
             .keepAliveTimeout(10, TimeUnit.SECONDS)
             .build();
+    PoseGraphServiceBlockingV2Stub stub = PoseGraphServiceGrpc.newBlockingV2Stub(channel);
     try {
-      run(PoseGraphServiceGrpc.newBlockingV2Stub(channel), poses, arguments[2]);
+      if (arguments.length == 2) {
+        new CandidateWatcher(stub, path).run();
+      } else {
+        run(stub, Drive.read(path), arguments[2]);
+      }
     } finally {
       channel.shutdownNow().awaitTermination(5, TimeUnit.SECONDS);
     }
