@@ -99,6 +99,7 @@ test('calls are known by the vehicle in their request', async () => {
     [{parent: 'vehicles/van'}, 'van'],
     [{vehicle: 'vehicles/van', sequence: 3n}, 'van'],
     [{name: 'vehicles/van/loopClosures/c-1'}, 'van'],
+    [{parent: 'vehicles/-'}, undefined],
     [{name: ''}, undefined],
     [{service: 'vehicles/van'}, undefined],
   ]) {

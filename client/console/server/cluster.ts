@@ -29,13 +29,14 @@ function ownerSaidBy(error: unknown): string|undefined {
       info.metadata.get('owner') || undefined : undefined;
 }
 
-/** The id of the vehicle that a request is about; undefined for none. */
+/** The id of the vehicle that a request is about; undefined for none, and for
+ * all of them (`vehicles/-`). */
 export function vehicleOf(request: object): string|undefined {
   const {name, parent, vehicle} = request as Record<string, unknown>;
   for (const value of [name, parent, vehicle]) {
     const found = typeof value === 'string' &&
         /^vehicles\/([^/]+)/.exec(value);
-    if (found) return found[1];
+    if (found) return found[1] === '-' ? undefined : found[1];
   }
   return undefined;
 }

@@ -17,16 +17,20 @@ import type {Telemetry} from './telemetry.js';
 const calls = PoseGraphService.method;
 const UNARY: DescMethodUnary[] = [
   calls.getVehicle, calls.listVehicles, calls.listRecordings,
-  calls.findCandidates,
+  calls.findCandidates, calls.listChecks,
   calls.addLoopClosure, calls.listLoopClosures, calls.deleteLoopClosure,
   calls.rejectCandidate, calls.listRejectedCandidates,
   calls.deleteRejectedCandidate, calls.listDeletedPosePairs, calls.listPoses,
   calls.getServerInfo, Health.method.check,
 ];
-const STREAMS: DescMethodServerStreaming[] = [calls.exportPoseGraph];
+const STREAMS: DescMethodServerStreaming[] =
+    [calls.exportPoseGraph, calls.watchCandidates];
+/** Streams that never end by themselves: the console's end is theirs, since
+ * waiting for them would be in vain, and the page goes on from its cursor. */
+const ENDLESS = new Set<DescMethod>([calls.watchCandidates]);
 
 /** Methods that leave revisitd as it is. */
-const READING = /^(Get|List|Find|Export|Check)/;
+const READING = /^(Get|List|Find|Export|Watch|Check)/;
 
 /** The bytes that gRPC counts for a header beside its name and its value. */
 const HEADER_BYTES = 32;
@@ -108,7 +112,7 @@ function forwardUnary<I extends DescMessage, O extends DescMessage>(
 // Graphs have millions of nodes, so the parts of the answer are not decoded:
 // all that they hold is unknown to an empty message, which keeps it as bytes.
 function forwardStream(router: ConnectRouter, cluster: Cluster,
-                       telemetry: Telemetry,
+                       telemetry: Telemetry, stopping: AbortSignal,
                        decoded: DescMethodServerStreaming): void {
   const method = {...decoded, output: EmptySchema};
   router.rpc(method, async function*(request, context) {
@@ -137,14 +141,15 @@ function forwardStream(router: ConnectRouter, cluster: Cluster,
     } finally {
       end(told);
     }
-  });
+  }, ENDLESS.has(decoded) ? {shutdownSignal: stopping} : {});
 }
 
-/** Makes the router answer each call with what the cluster answers. */
+/** Makes the router answer each call with what the cluster answers; `stopping`
+ * ends those that never end by themselves. */
 export function forward(router: ConnectRouter, cluster: Cluster,
-                        telemetry: Telemetry): void {
+                        telemetry: Telemetry, stopping: AbortSignal): void {
   for (const method of UNARY) forwardUnary(router, cluster, telemetry, method);
   for (const method of STREAMS) {
-    forwardStream(router, cluster, telemetry, method);
+    forwardStream(router, cluster, telemetry, stopping, method);
   }
 }

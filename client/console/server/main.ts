@@ -29,6 +29,8 @@ const MAX_REQUEST_BYTES = 65536;
 const OTHER_HEADER_BYTES = 16384;
 /** How long calls may go on after the console was told to stop. */
 const DRAIN_MILLISECONDS = 5000;
+/** How often it then looks for connections on which no call is left. */
+const IDLE_MILLISECONDS = 100;
 /** The name of a bearer token's header, and what stands before the token. */
 const BEARER_BYTES = 32 + 'authorization'.length + 'Bearer '.length;
 
@@ -73,8 +75,8 @@ function listen(server: HttpServer, {host, port}: Address): Promise<Address> {
 }
 
 function gatewayOf(options: Options, cluster: Cluster, base: URL,
-                   hosts: Set<string>, log: Log, telemetry: Telemetry):
-    Gateway {
+                   hosts: Set<string>, log: Log, telemetry: Telemetry,
+                   stopping: AbortSignal): Gateway {
   const pages =
       new Pages(fileURLToPath(new URL('../web', import.meta.url)));
   pages.add('/console.json', JSON.stringify(settingsOf(options)));
@@ -88,7 +90,7 @@ function gatewayOf(options: Options, cluster: Cluster, base: URL,
         options.oidc, base, options.maxMetadataBytes - BEARER_BYTES, log,
         telemetry),
     calls: connectNodeAdapter({
-      routes: router => forward(router, cluster, telemetry),
+      routes: router => forward(router, cluster, telemetry, stopping),
       readMaxBytes: MAX_REQUEST_BYTES,
       // Brotli is as slow here as it can be.
       acceptCompression: [compressionGzip],
@@ -101,13 +103,17 @@ function gatewayOf(options: Options, cluster: Cluster, base: URL,
   return gateway;
 }
 
-/** Lets calls end that are on, for a while. */
-function stopAtSignals(server: HttpServer, log: Log): void {
+/** Lets calls end that are on, for a while; those that `stop` aborts at once. */
+function stopAtSignals(server: HttpServer, log: Log,
+                       stop: AbortController): void {
   for (const signal of ['SIGINT', 'SIGTERM'] as const) {
     process.once(signal, () => {
       log.write('info', 'stopping', {signal});
+      stop.abort();
       server.close(() => process.exit(0));
       server.closeIdleConnections();
+      // Those whose call has ended would be kept for a next one.
+      setInterval(() => server.closeIdleConnections(), IDLE_MILLISECONDS);
       setTimeout(() => process.exit(0), DRAIN_MILLISECONDS);
     });
   }
@@ -130,14 +136,16 @@ async function serve(options: Options): Promise<void> {
   for (const host of [address.host, '127.0.0.1', 'localhost']) {
     hosts.add(nameOf({host, port: address.port}));
   }
-  gateway = gatewayOf(options, cluster, base, hosts, log, telemetry);
+  const stop = new AbortController();
+  gateway = gatewayOf(options, cluster, base, hosts, log, telemetry,
+                      stop.signal);
   if (options.adminListen) {
     const admin = await listen(
         makeAdmin(cluster.servers.map(({watch}) => watch), telemetry),
         options.adminListen);
     console.log(`admin listening on ${nameOf(admin)}`);
   }
-  stopAtSignals(server, log);
+  stopAtSignals(server, log, stop);
   console.log(`The console is at http://${nameOf(address)}, its revisitd at ` +
               options.servers.join(', '));
 }

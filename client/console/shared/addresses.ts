@@ -2,7 +2,7 @@
 // and the server answers with the page at the address of every view.
 
 export type Route =
-    {view: 'fleet'}|{view: 'server', server?: string}|
+    {view: 'fleet'}|{view: 'queue'}|{view: 'server', server?: string}|
     {view: 'vehicle', vehicle: string}|
     {view: 'candidate', vehicle: string, asked: number, matched: number}|
     {view: 'none'};
@@ -19,6 +19,7 @@ function decoded(text: string): string {
 /** The view at a path; 'none' where there is none. */
 export function routeOf(path: string): Route {
   if (path === '/') return {view: 'fleet'};
+  if (path === '/queue') return {view: 'queue'};
   if (path === '/server') return {view: 'server'};
   const server = /^\/server\/([\w.:%-]+)$/.exec(path);
   if (server) return {view: 'server', server: decoded(server[1])};

@@ -10,6 +10,7 @@ import {route} from './route.js';
 import {dark, switchTheme} from './theme.js';
 import {CandidateView} from './views/candidate.js';
 import {FleetView} from './views/fleet.js';
+import {QueueView} from './views/queue.js';
 import {ServerView} from './views/server.js';
 import {VehicleView} from './views/vehicle.js';
 
@@ -72,6 +73,7 @@ function Header() {
       <strong>revisit</strong>
       <nav aria-label="Views">
         <a href="/" aria-current={current('fleet')}>Fleet</a>
+        <a href="/queue" aria-current={current('queue')}>Queue</a>
         <a href="/server" aria-current={current('server')}>Server</a>
       </nav>
       <button type="button" class="theme" onClick={switchTheme}>
@@ -91,6 +93,7 @@ function View(): JSX.Element {
   const who = token.value;
   switch (now.view) {
     case 'fleet': return <FleetView key={who} />;
+    case 'queue': return <QueueView key={who} />;
     case 'server': return <ServerView key={who} name={now.server} />;
     case 'vehicle':
       return <VehicleView key={`${now.vehicle} ${who}`} id={now.vehicle} />;

@@ -29,6 +29,10 @@ interface Props<Row> {
   /** Told the key of the row that somebody points at here, or has moved the
    * focus into. */
   onPoint?: (key: string|undefined) => void;
+  /** A class of the row, for its looks. */
+  rowClass?: (row: Row) => string;
+  /** Told the key of a row that was clicked. */
+  onPick?: (key: string) => void;
   /** Told which rows are in view. */
   onVisible?: (rows: Row[]) => void;
 }
@@ -84,7 +88,7 @@ function Head<Row>({column: {title, number, by}, order, onOrder}: {
 /** A table of any length: only the rows in view are in the page. */
 export function Table<Row>(
     {label, columns, rows: given, keyOf, current, pinned, empty, pointed,
-     onPoint, onVisible}: Props<Row>) {
+     onPoint, onVisible, rowClass, onPick}: Props<Row>) {
   const [order, setOrder] = useState<Order>();
   const rows = useMemo(() => sorted(given, columns, order),
                        [given, columns, order]);
@@ -145,7 +149,10 @@ export function Table<Row>(
           {above > 0 && <tr class="space" style={{height: `${above}px`}} />}
           {items.map(({index: i}) => (
             <tr key={keyOf(rows[i])} aria-rowindex={i + 2}
-                class={keyOf(rows[i]) === pointed ? 'pointed' : undefined}
+                class={[keyOf(rows[i]) === pointed ? 'pointed' : '',
+                        rowClass?.(rows[i]) ?? ''].join(' ').trim() ||
+                    undefined}
+                onClick={() => onPick?.(keyOf(rows[i]))}
                 onMouseEnter={() => onPoint?.(keyOf(rows[i]))}
                 onMouseLeave={() => onPoint?.(undefined)}
                 onFocusCapture={() => onPoint?.(keyOf(rows[i]))}

@@ -1,0 +1,328 @@
+// The queue as the page knows it, kept up to date by a watch while it is in view,
+// and the decisions that were made in it.
+import {Code, ConnectError} from '@connectrpc/connect';
+import {batch, signal} from '@preact/signals';
+
+import {CandidateState, type Check} from '../../gen/revisit/v1/check_pb.js';
+import {StoredChecks, type Vehicle} from '../../gen/revisit/v1/vehicle_pb.js';
+import {allPages, messageOf, repeat, service, token} from './client.js';
+import {pairName, type Deed} from './decisions.js';
+import {isOpen, Queue, type Waiting} from './queue.js';
+
+/** At most so many are listed: of more, vehicle and probability choose. */
+export const MOST_WAITING = 2000;
+/** A check takes some seven kilobytes in a list. */
+const CHECKS_A_PAGE = 250;
+const VEHICLES_A_PAGE = 1000;
+const VEHICLES_MILLISECONDS = 5000;
+const RETRY_MILLISECONDS = 1000;
+/** The server tells something each ten seconds or so. Where nothing comes for so
+ * long, the watch goes on from its cursor by another connection. */
+const SILENT_MILLISECONDS = 30_000;
+/** What a refusal of these codes was about does not change within a second. */
+const LASTING = new Set([Code.Unauthenticated, Code.PermissionDenied,
+                         Code.NotFound, Code.Unimplemented,
+                         Code.InvalidArgument]);
+const LASTING_RETRY_MILLISECONDS = 10_000;
+const PUBLISH_MILLISECONDS = 50;
+const SWEEP_MILLISECONDS = 250;
+
+export interface QueueFilter {
+  /** Id of a vehicle; undefined for all. */
+  vehicle: string|undefined;
+  leastProbability: number;
+}
+
+/** Something that was done in the queue. `at` is the key of the candidate. */
+export interface QueueDeed extends Deed {
+  candidate: Waiting;
+}
+
+/** All that was done since the page was loaded, the last at the end: it outlives
+ * a look at another view, so that it can be undone after that. */
+export const deeds = signal<QueueDeed[]>([]);
+/** Vehicles about which the server lets this caller decide nothing, by id, as it
+ * said when that was tried. */
+export const readOnly = signal<ReadonlySet<string>>(new Set());
+token.subscribe(() => batch(() => {
+  deeds.value = [];
+  readOnly.value = new Set();
+}));
+
+export function pairOfWaiting({evidence}: Waiting) {
+  return {query: Number(evidence.query!.sequence),
+          matched: Number(evidence.matched!.sequence)};
+}
+
+/** The last decision of this page that still stands. */
+export function lastDecision(): QueueDeed|undefined {
+  // The same pair may be decided about again after an undo, under the same name.
+  const undone = (deed: QueueDeed) => deeds.value.some(
+      ({id, act, state, made}) => act === 'undo' && state !== 'failed' &&
+          id > deed.id && made === deed.made);
+  return deeds.value.filter(deed =>
+      deed.act !== 'undo' && deed.made !== undefined && !undone(deed)).at(-1);
+}
+
+export function isBusy(key: string): boolean {
+  return deeds.value.some(({at, state}) => at === key && state === 'under way');
+}
+
+export class QueueStore {
+  /** Undefined until the first list is here. */
+  readonly waiting = signal<readonly Waiting[]|undefined>(undefined);
+  /** Whether more are open than are shown. */
+  readonly isCut = signal(false);
+  /** Whether what changes is told now. */
+  readonly isLive = signal(false);
+  readonly error = signal<string|undefined>(undefined);
+  /** Those whose checks are stored. */
+  readonly vehicles = signal<readonly Vehicle[]>([]);
+  private queue = new Queue(MOST_WAITING);
+  private cursor = '';
+  private filter: QueueFilter = {vehicle: undefined, leastProbability: 0};
+  private run = new AbortController();
+  private sweeping: ReturnType<typeof setInterval>|undefined;
+  private isPublishing = false;
+  private readonly endVehicles =
+      repeat(VEHICLES_MILLISECONDS, () => this.refreshVehicles());
+  /** A page out of view takes no connection, of which a browser has but a few. */
+  private readonly onVisibility = () => {
+    if (document.hidden) {
+      this.run.abort();
+    } else {
+      this.start();
+    }
+  };
+
+  constructor() {
+    document.addEventListener('visibilitychange', this.onVisibility);
+  }
+
+  close(): void {
+    this.run.abort();
+    this.endVehicles();
+    clearInterval(this.sweeping);
+    document.removeEventListener('visibilitychange', this.onVisibility);
+  }
+
+  /** Shows those that match, from now on. */
+  show(filter: QueueFilter): void {
+    this.filter = filter;
+    this.queue = new Queue(MOST_WAITING);
+    this.cursor = '';
+    this.waiting.value = undefined;
+    this.start();
+  }
+
+  private start(): void {
+    this.run.abort();
+    this.isLive.value = false;
+    this.run = new AbortController();
+    if (!document.hidden) void this.goOn(this.run.signal);
+  }
+
+  private get wanted() {
+    const {vehicle, leastProbability} = this.filter;
+    return {vehicles: vehicle ? [`vehicles/${vehicle}`] : [], leastProbability};
+  }
+
+  /** Lists and watches until it is aborted, over all breaks. */
+  private async goOn(signal: AbortSignal): Promise<void> {
+    while (!signal.aborted) {
+      let pause = RETRY_MILLISECONDS;
+      try {
+        if (this.cursor === '') await this.list(signal);
+        await this.watch(signal);
+      } catch (error) {
+        if (signal.aborted) return;
+        const {code} = ConnectError.from(error);
+        if (code === Code.OutOfRange) {
+          // Events behind the cursor are kept no longer, or the store is another.
+          this.cursor = '';
+          pause = 0;
+        } else if (code !== Code.Canceled) {
+          this.error.value = messageOf(error);
+          if (LASTING.has(code)) pause = LASTING_RETRY_MILLISECONDS;
+        }
+      }
+      if (signal.aborted) return;
+      this.isLive.value = false;
+      await new Promise(done => setTimeout(done, pause));
+    }
+  }
+
+  private async list(signal: AbortSignal): Promise<void> {
+    const {wanted} = this;
+    const checks: Check[] = [];
+    let [cursor, pageToken, count] = ['', '', 0];
+    do {
+      const page = await service.listChecks({
+        parent: 'vehicles/-', pageSize: CHECKS_A_PAGE, pageToken,
+        filter: {...wanted, states: [CandidateState.OPEN]},
+      }, {signal});
+      if (pageToken === '') cursor = page.watchCursor;
+      checks.push(...page.checks);
+      count += page.checks.length;
+      pageToken = page.nextPageToken;
+    } while (pageToken !== '' && count < MOST_WAITING);
+    if (signal.aborted) return;
+    this.queue.begin(checks, wanted.leastProbability, pageToken !== '');
+    this.cursor = cursor;
+    this.error.value = undefined;
+    this.publishNow();
+  }
+
+  private async watch(signal: AbortSignal): Promise<void> {
+    const silence = new AbortController();
+    const end = () => silence.abort();
+    signal.addEventListener('abort', end);
+    let timer = setTimeout(end, SILENT_MILLISECONDS);
+    try {
+      const told = service.watchCandidates(
+          {filter: this.wanted, cursor: this.cursor},
+          {signal: silence.signal, timeoutMs: 0});
+      for await (const {cursor, event} of told) {
+        if (signal.aborted) return;
+        clearTimeout(timer);
+        timer = setTimeout(end, SILENT_MILLISECONDS);
+        if (event.case === 'candidate') {
+          this.queue.take(event.value, Date.now());
+          this.publish();
+        } else if (event.case === 'vehicleDeleted') {
+          this.queue.drop(event.value.vehicleUid);
+          this.publish();
+        }
+        this.cursor = cursor;
+        batch(() => {
+          this.isLive.value = true;
+          this.error.value = undefined;
+        });
+        if (this.queue.isCut && this.queue.openCount < MOST_WAITING / 2) {
+          // There is room for those that were left out.
+          this.cursor = '';
+          return;
+        }
+      }
+    } finally {
+      clearTimeout(timer);
+      signal.removeEventListener('abort', end);
+      end();
+    }
+  }
+
+  /** Many events that come at once are shown at once. */
+  private publish(): void {
+    if (this.isPublishing) return;
+    this.isPublishing = true;
+    setTimeout(() => {
+      this.isPublishing = false;
+      this.publishNow();
+    }, PUBLISH_MILLISECONDS);
+  }
+
+  private publishNow(): void {
+    const isFading = this.queue.sweep(Date.now());
+    batch(() => {
+      this.waiting.value = [...this.queue.values];
+      this.isCut.value = this.queue.isCut;
+    });
+    if (isFading) {
+      this.sweeping ??= setInterval(() => this.publishNow(),
+                                    SWEEP_MILLISECONDS);
+    } else {
+      clearInterval(this.sweeping);
+      this.sweeping = undefined;
+    }
+  }
+
+  private async refreshVehicles(): Promise<void> {
+    const all = await allPages(
+        pageToken => service.listVehicles(
+            {pageToken, pageSize: VEHICLES_A_PAGE}),
+        page => page.vehicles);
+    this.vehicles.value = all.filter(
+        ({settings}) => settings?.checks === StoredChecks.STORED);
+  }
+
+  /** Decides about a candidate as it was found. */
+  decide(act: 'confirm'|'reject', candidate: Waiting): void {
+    if (!isOpen(candidate) || isBusy(candidate.key) ||
+        readOnly.value.has(candidate.vehicle)) {
+      return;
+    }
+    const {name, vehicle, key} = candidate;
+    const parent = `vehicles/${vehicle}`;
+    const pair = {querySequence: candidate.evidence.query!.sequence,
+                  matchedSequence: candidate.evidence.matched!.sequence};
+    void this.perform(act, candidate, undefined, async () => {
+      const confirms = act === 'confirm';
+      const made = confirms ?
+          (await service.addLoopClosure(
+              {parent, candidate: name, loopClosure: pair})).loopClosure! :
+          (await service.rejectCandidate(
+              {parent, candidate: name, rejectedCandidate: pair}))
+              .rejectedCandidate!;
+      this.queue.settle(
+          key, confirms ? CandidateState.CONFIRMED : CandidateState.REJECTED,
+          made.name, Date.now());
+      return made.name;
+    });
+  }
+
+  /** Deletes what the last decision of this page made, and returns that one, if
+   * there is one. */
+  undo(): QueueDeed|undefined {
+    const last = lastDecision();
+    if (!last || isBusy(last.at)) return undefined;
+    const name = last.made!;
+    void this.perform('undo', last.candidate, name, async () => {
+      try {
+        if (last.act === 'confirm') {
+          await service.deleteLoopClosure({name});
+        } else {
+          await service.deleteRejectedCandidate({name});
+        }
+      } catch (error) {
+        // Somebody else was faster.
+        if (ConnectError.from(error).code !== Code.NotFound) throw error;
+      }
+      return name;
+    });
+    return last;
+  }
+
+  private async perform(act: Deed['act'], candidate: Waiting,
+                        made: string|undefined, work: () => Promise<string>):
+      Promise<void> {
+    const pair = pairOfWaiting(candidate);
+    const deed: QueueDeed = {
+      id: deeds.value.length + 1, act, pair, at: candidate.key, candidate, made,
+      state: 'under way', text: '…', time: Date.now(),
+    };
+    deeds.value = [...deeds.value, deed];
+    const end = (ended: Partial<QueueDeed>) => {
+      deeds.value = deeds.value.map(
+          other => other.id === deed.id ? {...deed, ...ended} : other);
+    };
+    const what = `${pairName(pair)} of ${candidate.vehicle}`;
+    const [done, verb] = {
+      confirm: ['Confirmed', 'confirmed'], reject: ['Rejected', 'rejected'],
+      undo: ['Undone: the decision about', 'undone'],
+    }[act];
+    try {
+      const name = await work();
+      batch(() => {
+        end({state: 'done', made: name, text: `${done} ${what}.`});
+        this.publishNow();
+      });
+    } catch (error) {
+      if (act !== 'undo' &&
+          ConnectError.from(error).code === Code.PermissionDenied) {
+        readOnly.value = new Set([...readOnly.value, candidate.vehicle]);
+      }
+      end({state: 'failed',
+           text: `${what} was not ${verb}: ${messageOf(error)}`});
+    }
+  }
+}

@@ -1,0 +1,360 @@
+// All candidates of stored checks about which nobody has decided, as they come,
+// to be worked through by keyboard.
+import {useEffect, useLayoutEffect, useMemo, useRef} from 'preact/hooks';
+
+import {Verdict} from '../../gen/revisit/v1/candidate_pb.js';
+import {CandidateCause, CandidateState} from
+    '../../gen/revisit/v1/check_pb.js';
+import {verdictName} from '../data/candidates.js';
+import {pairName} from '../data/decisions.js';
+import {follow, isOpen, neighbour, type Order, ordered, type Waiting} from
+    '../data/queue.js';
+import {deeds, isBusy, lastDecision, MOST_WAITING, pairOfWaiting,
+        type QueueDeed, type QueueFilter, QueueStore, readOnly} from
+    '../data/queue_store.js';
+import {Export} from '../parts/export.js';
+import {count, fixed, length, moment, probability, words} from
+    '../parts/format.js';
+import {type Column, Table} from '../parts/table.js';
+import {go, query, setQuery} from '../route.js';
+import {useTitle} from '../title.js';
+
+const SHOWN_DEEDS = 6;
+/** A file has no more of them. */
+const MOST_SAVED = 200;
+
+/** What the address asks for: what it does not say, or says in other words than
+ * the page writes, is as if it were left out. */
+function filterOf(parameters: URLSearchParams): QueueFilter {
+  const least = Number(parameters.get('least'));
+  return {vehicle: parameters.get('vehicle') || undefined,
+          leastProbability: least >= 0 && least <= 1 ? least : 0};
+}
+
+function orderOf(parameters: URLSearchParams): Order {
+  return parameters.get('order') === 'probable' ? 'probable' : 'newest';
+}
+
+/** The view of a candidate, by the pose at which its check was due. */
+function addressOf({vehicle, asked, evidence}: Waiting): string {
+  return `/vehicles/${vehicle}/candidates/${asked}-${
+      evidence.matched!.sequence}`;
+}
+
+/** What an open candidate is called in the address of the page. */
+function placeOf({name}: Waiting): string {
+  const [, vehicle, , asked, , number] = name.split('/');
+  return [vehicle, asked, number].join('/');
+}
+
+function probabilityText({evidence: {probability: p}}: Waiting): string {
+  return p === undefined ? '–' : probability(p);
+}
+
+/** What has become of a candidate, and who has decided. */
+function stateText(one: Waiting): string {
+  if (isOpen(one)) return '';
+  const state = words(CandidateState[one.state]);
+  if (one.state === CandidateState.WITHDRAWN) {
+    return one.cause === CandidateCause.RETENTION ?
+        `${state}: kept no longer` : state;
+  }
+  const made = deeds.value.find(
+      ({act, made: name}) => act !== 'undo' && name === one.decision);
+  if (made) {
+    return made.at === one.key ? `${state} here` :
+                                 `${state} with ${pairName(made.pair)}`;
+  }
+  return one.actor ? `${state} by ${one.actor}` : `${state} elsewhere`;
+}
+
+function columnsFor(names: ReadonlyMap<string, string>):
+    Array<Column<Waiting>> {
+  return [
+    {title: 'Pose', number: true, cell: one => (
+      <a href={addressOf(one)} aria-label={`${
+          count(one.evidence.query!.sequence)} at pose ${
+          count(one.evidence.matched!.sequence)} of ${one.vehicle}`}>
+        {count(one.evidence.query!.sequence)}
+      </a>)},
+    {title: 'Match', number: true,
+     cell: ({evidence}) => count(evidence.matched!.sequence)},
+    {title: 'Vehicle', cell: ({vehicle}) => (
+      <a href={`/vehicles/${vehicle}`}>{names.get(vehicle) || vehicle}</a>)},
+    {title: 'Verdict', cell: ({evidence: {verdict}}) => (
+      <span class={`verdict ${words(Verdict[verdict]).replaceAll(' ', '-')}`}>
+        {verdictName(verdict)}
+      </span>)},
+    {title: 'Probability', number: true, cell: probabilityText},
+    {title: 'd² / gate', number: true, cell: ({evidence: {gate}}) => gate ?
+       `${fixed(gate.squaredMahalanobisDistance, 2)} / ${
+           fixed(gate.threshold, 2)}` : 'shape alone'},
+    {title: 'Runs together', number: true, cell: ({evidence: {shape}}) =>
+       shape ? length(shape.overlapMeters) : '–'},
+    {title: 'Found', cell: ({found}) => (
+      <time dateTime={new Date(found).toISOString()}>{moment(found)}</time>)},
+    {title: 'State', cell: one =>
+       isBusy(one.key) ? 'no answer yet' : stateText(one)},
+  ];
+}
+
+/** What was done in the queue since the page was loaded, the last first. */
+function Deeds({done}: {done: readonly QueueDeed[]}) {
+  if (done.length === 0) return null;
+  return (
+    <details class="deeds" open={done.some(({state}) => state === 'failed')}>
+      <summary>{count(done.length)} done here</summary>
+      <ol>
+        {done.slice(-SHOWN_DEEDS).reverse().map(
+            ({id, act, pair, candidate, state, text, time}) => (
+          <li key={id} class={state === 'failed' ? 'error' : ''}>
+            {moment(time)} <a href={addressOf(candidate)}>
+              {pairName(pair)}</a>: {state === 'under way' ?
+                `${act}, no answer yet` : text}
+          </li>
+        ))}
+      </ol>
+    </details>
+  );
+}
+
+/** The keys of the view, from when it is there: an effect that waits for a
+ * frame would lose the key of somebody who presses it as soon as the table is
+ * seen. */
+function useKeys(keys: Record<string, () => void>): void {
+  const latest = useRef(keys);
+  latest.current = keys;
+  useLayoutEffect(() => {
+    const onKey = (event: KeyboardEvent) => {
+      const target = event.target as HTMLElement;
+      if (event.key === 'Escape') target.blur();
+      if (event.ctrlKey || event.metaKey || event.altKey || event.repeat ||
+          target.closest('input:not([type=checkbox]), textarea, select') ||
+          // Enter is the key of whatever has the focus, if that has one.
+          (event.key === 'Enter' &&
+           target.closest('a, button, summary, input'))) {
+        return;
+      }
+      const act = latest.current[event.key];
+      if (!act) return;
+      event.preventDefault();
+      act();
+    };
+    addEventListener('keydown', onKey);
+    return () => removeEventListener('keydown', onKey);
+  }, []);
+}
+
+/** The row that is looked at, which the address names, and how to look at
+ * another one, or at one that is not yet shown. */
+function useSelection(rows: readonly Waiting[]|undefined, named: string|null):
+    [Waiting|undefined, (key: string|undefined) => void,
+     (awaited: string|undefined) => void] {
+  const selected = useRef<string>();
+  const before = useRef<string[]>([]);
+  const awaited = useRef<string>();
+  if (rows) {
+    selected.current ??= rows.find(one => placeOf(one) === named)?.key;
+    const come = rows.find(
+        one => one.key === awaited.current && isOpen(one));
+    if (come) {
+      selected.current = come.key;
+      awaited.current = undefined;
+    }
+    selected.current = follow(selected.current, before.current, rows);
+    before.current = rows.map(({key}) => key);
+  }
+  const current = rows?.find(({key}) => key === selected.current);
+  const place = current && placeOf(current);
+  // At once, as the keys: the address never lags behind what is marked.
+  useLayoutEffect(() => {
+    if (rows && place !== (named ?? undefined)) setQuery('at', place);
+  }, [rows === undefined, place]);
+  const select = (key: string|undefined) => {
+    const one = rows?.find(other => other.key === key);
+    if (!one) return;
+    awaited.current = undefined;
+    selected.current = key;
+    setQuery('at', placeOf(one));
+  };
+  return [current, select, key => awaited.current = key];
+}
+
+function Filters({store, filter, order}:
+    {store: QueueStore, filter: QueueFilter, order: Order}) {
+  const known = store.vehicles.value.map(({name, displayName}) => {
+    const id = name.replace('vehicles/', '');
+    return {id, title: displayName && displayName !== id ?
+        `${displayName} (${id})` : id};
+  });
+  // An address may name one that is not, or not yet, among them.
+  const {vehicle} = filter;
+  const listed = vehicle && !known.some(({id}) => id === vehicle) ?
+      [{id: vehicle, title: vehicle}, ...known] : known;
+  return (
+    <form class="filters" role="search" onSubmit={e => e.preventDefault()}>
+      <label>
+        Vehicle
+        <select value={vehicle ?? ''} onChange={event =>
+                  setQuery('vehicle', event.currentTarget.value || undefined)}>
+          <option value="">all</option>
+          {listed.map(({id, title}) => (
+            <option key={id} value={id}>{title}</option>))}
+        </select>
+      </label>
+      <label>
+        Least probability
+        <input type="number" name="least" min={0} max={1} step="any"
+               value={filter.leastProbability || ''} placeholder="any"
+               onChange={event => setQuery(
+                   'least', event.currentTarget.value || undefined)} />
+      </label>
+      <label>
+        Order
+        <select value={order} onChange={event => setQuery(
+                  'order', event.currentTarget.value === 'newest' ?
+                      undefined : event.currentTarget.value)}>
+          <option value="newest">newest first</option>
+          <option value="probable">most probable first</option>
+        </select>
+      </label>
+    </form>
+  );
+}
+
+/** How many checks are still to be made; undefined where nothing tells. */
+function owedChecks(store: QueueStore): bigint|undefined {
+  const debts = store.vehicles.value.map(({checkDebt}) => checkDebt)
+                    .filter(debt => debt !== undefined);
+  return debts.length === 0 ? undefined :
+                              debts.reduce((sum, debt) => sum + debt, 0n);
+}
+
+export function QueueView() {
+  const store = useMemo(() => new QueueStore(), []);
+  useEffect(() => () => store.close(), []);
+  const filter = filterOf(query.value);
+  const order = orderOf(query.value);
+  useEffect(() => store.show(filter),
+            [filter.vehicle, filter.leastProbability]);
+  useTitle('Queue');
+  const all = store.waiting.value;
+  const rows = useMemo(() => all && ordered(all, order), [all, order]);
+  const vehicles = store.vehicles.value;
+  const columns = useMemo(
+      () => columnsFor(new Map(vehicles.map(({name, displayName}) =>
+          [name.replace('vehicles/', ''), displayName]))),
+      [vehicles]);
+  const [current, select, expect] =
+      useSelection(rows, query.value.get('at'));
+  const done = deeds.value;
+  const last = lastDecision();
+  const outcome = done.at(-1);
+  const open = (rows ?? []).filter(isOpen);
+  const owed = owedChecks(store);
+  const mayDecide = current !== undefined && isOpen(current) &&
+      !isBusy(current.key) && !readOnly.value.has(current.vehicle);
+
+  const step = (direction: 1|-1) =>
+      select(neighbour(rows ?? [], current?.key, direction));
+  const decide = (act: 'confirm'|'reject') => {
+    if (!mayDecide) return;
+    store.decide(act, current);
+    const below = neighbour(rows!, current.key, 1);
+    select(below === current.key ? neighbour(rows!, current.key, -1) : below);
+  };
+  const undo = () => expect(store.undo()?.at);
+  const show = () => {
+    if (current) go(addressOf(current));
+  };
+  useKeys({
+    j: () => step(1), k: () => step(-1),
+    c: () => decide('confirm'), r: () => decide('reject'),
+    u: undo, Enter: show,
+  });
+  return (
+    <>
+      <div class="title">
+        <h1>Queue</h1>
+        <p role="status">
+          {rows ? `${count(open.length)}${store.isCut.value ? ' and more' : ''
+                  } open${store.isLive.value ? '' : ', as of before'}` :
+                  'Asking the server…'}
+        </p>
+        {owed !== undefined && (
+          <p>{count(owed)} {owed === 1n ? 'check' : 'checks'} owed</p>)}
+        <Export name="queue" sheet={() => ({
+          title: `Queue: ${count(open.length)} open`,
+          facts: open.slice(0, MOST_SAVED).map(one => [
+            `${one.vehicle} ${pairName(pairOfWaiting(one))}`,
+            `${verdictName(one.evidence.verdict)}, ${probabilityText(one)}`]),
+        })} />
+      </div>
+      {store.error.value && <p class="error" role="status">
+        {store.error.value}</p>}
+      <Filters store={store} filter={filter} order={order} />
+      <Table label="Open candidates" columns={columns} rows={rows ?? []}
+             keyOf={({key}) => key} current={current?.key} onPick={select}
+             rowClass={one => `${one.key === current?.key ? 'chosen ' : ''}${
+                 isOpen(one) ? '' : 'leaving'}`}
+             empty={!rows ? '' : vehicles.length > 0 ?
+               'Nothing waits for a decision.' :
+               'There is no vehicle with stored checks that you may read.'} />
+      <section class="decision" aria-label="Decision">
+        <p class="state-line">
+          {current ? (
+            <>
+              <a href={addressOf(current)}>{
+                  pairName(pairOfWaiting(current))}</a> of {current.vehicle}
+              {isOpen(current) ? '' : `: ${stateText(current)}`}
+            </>
+          ) : 'No candidate is chosen.'}
+        </p>
+        <div class="buttons">
+          <button type="button" class="confirm" disabled={!mayDecide}
+                  onClick={() => decide('confirm')}>
+            Confirm <kbd>c</kbd>
+          </button>
+          <button type="button" class="reject" disabled={!mayDecide}
+                  onClick={() => decide('reject')}>
+            Reject <kbd>r</kbd>
+          </button>
+          <button type="button" disabled={!last} onClick={undo}>
+            {last ? `Undo ${pairName(last.pair)}` : 'Undo'} <kbd>u</kbd>
+          </button>
+          <button type="button" disabled={open.length === 0}
+                  onClick={() => step(-1)}>
+            Previous <kbd>k</kbd>
+          </button>
+          <button type="button" disabled={open.length === 0}
+                  onClick={() => step(1)}>
+            Next <kbd>j</kbd>
+          </button>
+          <button type="button" disabled={!current} onClick={show}>
+            Open <kbd>Enter</kbd>
+          </button>
+        </div>
+        <p role="status" class={outcome?.state === 'failed' ? 'error' : ''}>
+          {outcome?.text ?? ''}
+        </p>
+        {current && readOnly.value.has(current.vehicle) && (
+          <p class="hint">
+            You may read {current.vehicle}, but not decide about it.
+          </p>
+        )}
+        <Deeds done={done} />
+      </section>
+      {store.isCut.value && (
+        <p class="hint">
+          More than {count(MOST_WAITING)} are open. A vehicle or a least
+          probability shows others; else they come once half of these are
+          decided.
+        </p>
+      )}
+      <p class="hint">
+        What the checks of vehicles with stored checks have found. A candidate
+        that somebody decides is shown for some seconds more, with who did.
+      </p>
+    </>
+  );
+}

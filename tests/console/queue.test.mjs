@@ -1,0 +1,390 @@
+// The queue of a drive whose checks are stored, worked through by keyboard, while
+// others decide too, may only read, and the server comes and goes.
+import assert from 'node:assert/strict';
+import {readFileSync, writeFileSync} from 'node:fs';
+import {join} from 'node:path';
+import {after, before, test} from 'node:test';
+import {setTimeout as sleep} from 'node:timers/promises';
+
+import {DRIVE, isAccessible, Issuer, OUT, until, World} from './world.mjs';
+
+const POLICY = {
+  version: 1,
+  tenants: [{name: 'acme', vehicle_prefix: 'acme-'}],
+  grants: [
+    {token_subject: 'operator', tenant: '*', vehicles: ['*'],
+     verbs: ['read', 'write', 'admin']},
+    {token_subject: 'verifier', tenant: 'acme', vehicles: ['*'],
+     verbs: ['read', 'write']},
+    {token_subject: 'reader', tenant: 'acme', vehicles: ['*'],
+     verbs: ['read']},
+  ],
+};
+const WATCH = '**/revisit.v1.PoseGraphService/WatchCandidates';
+const LIST = /\/ListChecks$/;
+
+const issuer = new Issuer();
+let world;
+
+/** The command line as one of those whom the policy names. */
+function cli(subject, ...args) {
+  const file = join(world.directory, `token-${subject}`);
+  writeFileSync(file, issuer.token(subject));
+  return world.revisitd.cli('--token-file', file, ...args);
+}
+
+before(async () => {
+  world = await World.make(directory => issuer.flags(directory, POLICY));
+  for (const id of ['acme-1', 'acme-2']) {
+    cli('operator', 'vehicle', 'create', id, '--checks', 'stored');
+    cli('operator', 'stream', DRIVE, '--vehicle', id, '--uncertainty', 'file');
+  }
+  await until(() => ['acme-1', 'acme-2'].every(
+      id => cli('operator', 'vehicle', 'get', id, '--json').checkDebt === 0),
+              'all checks');
+});
+after(() => world?.close());
+
+const candidatesIn = state => (cli('operator', 'checks', '-', '--json').checks)
+    .flatMap(({states}) => states)
+    .filter(one => one.state === `CANDIDATE_STATE_${state}`);
+const stateOf = name => ['OPEN', 'CONFIRMED', 'REJECTED', 'WITHDRAWN'].find(
+    state => candidatesIn(state).some(one => one.name === name));
+const closures = id => cli('operator', 'closures', 'list', id, '--json')
+    .loopClosures ?? [];
+const rejections = id => cli('operator', 'rejections', 'list', id, '--json')
+    .rejectedCandidates ?? [];
+
+/** As a proxy in front would tell who asks. */
+const as = subject => ({extraHTTPHeaders: {
+  authorization: `Bearer ${issuer.token(subject)}`}});
+
+async function open(path, subject = 'verifier') {
+  const page = await world.open(path, as(subject));
+  await page.locator('tr[aria-current]').waitFor();
+  return page;
+}
+
+/** How many are open, once the page says that this is so now. */
+async function openCount(page) {
+  const said = page.locator('.title [role=status]');
+  return Number((await said.filter({hasText: /^[\d,]+ open$/}).innerText())
+                    .replace(/\D/g, ''));
+}
+
+/** The name of the candidate that is looked at, as the address has it. */
+function chosen(page) {
+  const [vehicle, sequence, number] =
+      new URL(page.url()).searchParams.get('at').split('/');
+  return `vehicles/${vehicle}/checks/${sequence}/candidates/${number}`;
+}
+
+const cells = (page, row = page.locator('tr[aria-current]')) =>
+    row.locator('td').allInnerTexts();
+const column = (page, number) => page.locator(
+    `tbody tr:not(.space) td:nth-child(${number})`).allInnerTexts();
+
+test('it lists what is open, the newest first or the most probable, as the ' +
+     'address has it', async () => {
+  const page = await world.open('/', as('verifier'));
+  await page.getByRole('link', {name: 'Queue'}).click();
+  await page.locator('tr[aria-current]').waitFor();
+  assert.equal(await openCount(page), candidatesIn('OPEN').length);
+  await page.getByText('0 checks owed').waitFor();
+  await page.getByLabel('Vehicle').selectOption('acme-2');
+  await until(async () => (await column(page, 3)).every(
+      text => text === 'acme-2'), 'candidates of one vehicle');
+  assert.equal(await openCount(page), candidatesIn('OPEN').length / 2);
+  await page.getByLabel('Least probability').fill('0.9');
+  await page.keyboard.press('Enter');
+  await until(async () => await openCount(page) <
+      candidatesIn('OPEN').length / 2, 'probable ones');
+  await page.getByLabel('Order').selectOption('probable');
+  assert.match(page.url(), /vehicle=acme-2/);
+  assert.match(page.url(), /least=0\.9/);
+  assert.match(page.url(), /order=probable/);
+  await page.reload();
+  await page.locator('tr[aria-current]').waitFor();
+  const values = (await column(page, 5)).map(
+      text => Number(text.replace('> 0.999', '1')));
+  assert.deepEqual(values, [...values].sort((a, b) => b - a));
+  assert.ok(values.length > 5 && values.every(value => value >= 0.9));
+  assert.deepEqual(page.complaints, []);
+  await page.context().close();
+});
+
+test('it is accessible, light or dark, wide or narrow', async () => {
+  for (const width of [1440, 390]) {
+    for (const colorScheme of ['light', 'dark']) {
+      const page = await world.open('/queue', {
+        colorScheme, viewport: {width, height: 900}, ...as('reader')});
+      await page.locator('tr[aria-current]').waitFor();
+      await openCount(page);
+      await page.screenshot({path: join(OUT, `queue-${width}-${
+          colorScheme}.png`), fullPage: true});
+      await isAccessible(page);
+      await page.context().close();
+    }
+  }
+});
+
+test('what a key does is done to the candidate that is looked at', async () => {
+  const page = await open('/queue?vehicle=acme-1');
+  const first = chosen(page);
+  await page.keyboard.press('j');
+  const second = chosen(page);
+  assert.notEqual(second, first);
+  await page.keyboard.press('k');
+  assert.equal(chosen(page), first);
+  // Enter leads to its view, and the way back to the same row.
+  const [query, match] = await cells(page);
+  await page.keyboard.press('Enter');
+  await page.getByRole('heading', {name: `Pose ${query} at pose ${match}`})
+      .waitFor();
+  await page.goBack();
+  await page.locator('tr[aria-current]').waitFor();
+  assert.equal(chosen(page), first);
+
+  await page.keyboard.press('c');
+  await page.getByText(`Confirmed ${query}–${match} of acme-1.`).first()
+      .waitFor();
+  assert.equal(stateOf(first), 'CONFIRMED');
+  assert.equal(closures('acme-1').length, 1);
+  assert.equal(closures('acme-1')[0].decidedBy, 'token:verifier');
+  await page.locator('tr.leaving', {hasText: 'confirmed here'}).first()
+      .waitFor();
+  const next = chosen(page);
+  assert.notEqual(next, first);
+  await page.keyboard.press('r');
+  await page.locator('.decision > [role=status]', {hasText: 'Rejected'})
+      .waitFor();
+  assert.equal(stateOf(next), 'REJECTED');
+  // Undone, the last one first.
+  await page.keyboard.press('u');
+  await until(() => stateOf(next) === 'OPEN', 'an undone rejection');
+  assert.deepEqual(rejections('acme-1'), []);
+  await until(() => chosen(page) === next, 'the candidate again');
+  await page.locator('tr.leaving', {hasText: 'confirmed here'}).first()
+      .waitFor({state: 'detached'});
+  await page.keyboard.press('u');
+  await until(() => stateOf(first) === 'OPEN', 'an undone confirmation');
+  assert.deepEqual(closures('acme-1'), []);
+  // It has gone, and comes back in its place.
+  await until(() => chosen(page) === first, 'the first candidate again');
+  assert.deepEqual((await cells(page)).slice(0, 2), [query, match]);
+  // Nothing is left to undo, and letters in a field are no keys.
+  await page.keyboard.press('u');
+  await page.getByLabel('Least probability').focus();
+  await page.keyboard.press('c');
+  await sleep(300);
+  assert.deepEqual(closures('acme-1'), []);
+  assert.deepEqual(page.complaints, []);
+  await page.context().close();
+});
+
+test('a decision of somebody else is seen live, and fades', async () => {
+  const page = await open('/queue?vehicle=acme-1', 'reader');
+  const other = await open('/queue?vehicle=acme-1');
+  const name = chosen(page);
+  const [query] = await cells(page);
+  assert.equal(chosen(other), name);
+  await other.keyboard.press('r');
+  const row = page.locator('tr.leaving', {has: page.getByText(query, {
+    exact: true})});
+  await row.getByText('rejected by token:verifier').waitFor();
+  assert.equal(chosen(page), name);
+  assert.ok(await page.getByRole('button', {name: 'Confirm'}).isDisabled());
+  await page.screenshot({path: join(OUT, 'queue-leaving.png')});
+  await row.waitFor({state: 'detached'});
+  await until(() => chosen(page) !== name, 'another row');
+  // So is what the command line undoes and decides.
+  const [rejected] = rejections('acme-1');
+  cli('operator', 'rejections', 'delete', 'acme-1',
+      rejected.querySequence, rejected.matchedSequence);
+  await page.locator('tbody tr:not(.leaving)', {has: page.getByText(query, {
+    exact: true})}).waitFor();
+  await other.context().close();
+  assert.deepEqual(page.complaints, []);
+  await page.context().close();
+});
+
+test('who may only read is told so once, and has no keys to decide then',
+     async () => {
+  const page = await open('/queue?vehicle=acme-1', 'reader');
+  await page.keyboard.press('c');
+  await page.locator('.decision .error', {hasText: 'permission denied'}).first()
+      .waitFor();
+  await page.getByText('You may read acme-1, but not decide about it.')
+      .waitFor();
+  const asked = [];
+  page.on('request', request => asked.push(request.url().split('/').at(-1)));
+  for (const name of ['Confirm', 'Reject']) {
+    assert.ok(await page.getByRole('button', {name}).isDisabled(), name);
+  }
+  for (const key of ['c', 'r', 'j', 'c', 'r']) await page.keyboard.press(key);
+  await sleep(300);
+  assert.deepEqual(asked.filter(name => /^(Add|Reject|Delete)/.test(name)), []);
+  assert.deepEqual(page.complaints, []);
+  await page.context().close();
+});
+
+test('what is found meanwhile comes above, and moves no key to another one',
+     async () => {
+  const page = await open('/queue', 'reader');
+  const before = await openCount(page);
+  const name = chosen(page);
+  const marked = await cells(page);
+  cli('operator', 'vehicle', 'create', 'acme-3', '--checks', 'stored');
+  cli('operator', 'stream', DRIVE, '--vehicle', 'acme-3', '--uncertainty',
+      'file');
+  await until(async () => await openCount(page) === before * 3 / 2,
+              'what was found of a third drive');
+  assert.equal(chosen(page), name);
+  // It is followed to where it stands now.
+  await until(async () => `${await cells(page)}` === `${marked}`,
+              'the same row in view');
+  await page.keyboard.press('k');
+  assert.match(chosen(page), /acme-3/);
+  await page.getByLabel('Vehicle').locator('option', {hasText: 'acme-3'})
+      .waitFor({state: 'attached'});
+  // A vehicle that is deleted takes its candidates with it.
+  cli('operator', 'vehicle', 'delete', '--yes', 'acme-3');
+  await until(async () => await openCount(page) === before, 'their end');
+  assert.deepEqual(page.complaints, []);
+  await page.context().close();
+});
+
+test('out of view it watches nothing, and catches up in view', async () => {
+  const page = await open('/queue?vehicle=acme-1', 'reader');
+  const [query, match] = (await cells(page)).map(
+      text => text.replaceAll(',', ''));
+  await openCount(page);
+  const asked = [];
+  page.on('request', request => asked.push(request.url().split('/').at(-1)));
+  const turn = hidden => page.evaluate(isHidden => {
+    Object.defineProperty(document, 'hidden',
+                          {value: isHidden, configurable: true});
+    document.dispatchEvent(new Event('visibilitychange'));
+  }, hidden);
+  const ended = page.waitForEvent(
+      'requestfailed', request => /WatchCandidates$/.test(request.url()));
+  await turn(true);
+  await ended;
+  cli('operator', 'reject', 'acme-1', query, match);
+  await sleep(1500);
+  assert.equal(await page.locator('tr.leaving').count(), 0);
+  assert.deepEqual(asked.filter(name => name === 'WatchCandidates'), []);
+  await turn(false);
+  await page.locator('tr.leaving', {hasText: 'rejected by token:operator'})
+      .first().waitFor();
+  assert.deepEqual(asked.filter(name => name === 'ListChecks'), []);
+  cli('operator', 'rejections', 'delete', 'acme-1', query, match);
+  assert.deepEqual(page.complaints, []);
+  await page.context().close();
+});
+
+test('what is open is saved as SVG and as PNG', async () => {
+  const page = await open('/queue?vehicle=acme-2', 'reader');
+  for (const type of ['SVG', 'PNG']) {
+    const [download] = await Promise.all([
+      page.waitForEvent('download'),
+      page.getByRole('button', {name: type, exact: true}).click(),
+    ]);
+    const path = join(OUT, `saved-queue.${type.toLowerCase()}`);
+    await download.saveAs(path);
+    const content = readFileSync(path);
+    if (type === 'SVG') {
+      const [query, match] = await cells(page);
+      assert.ok(content.toString().includes(`acme-2 ${query}–${match}`));
+    } else {
+      assert.equal(content.subarray(1, 4).toString(), 'PNG');
+    }
+  }
+  assert.deepEqual(page.complaints, []);
+  await page.context().close();
+});
+
+test('after a break it goes on from its cursor', async () => {
+  const page = await open('/queue?vehicle=acme-1', 'reader');
+  const lists = [];
+  page.on('request', request => {
+    if (LIST.test(request.url())) lists.push(request.url());
+  });
+  await openCount(page);
+  await world.revisitd.kill();
+  await page.getByText(/open, as of before$/).waitFor();
+  await world.revisitd.start();
+  await openCount(page);
+  const name = chosen(page);
+  const [query, match] = (await cells(page)).map(
+      text => text.replaceAll(',', ''));
+  cli('operator', 'reject', 'acme-1', query, match, '--candidate', name);
+  await page.locator('tr.leaving', {hasText: 'rejected by token:operator'})
+      .first().waitFor();
+  assert.deepEqual(lists, []);
+  cli('operator', 'rejections', 'delete', 'acme-1', query, match);
+  await page.context().close();
+});
+
+test('a cursor that the server has no longer lets it list anew', async () => {
+  const page = await world.open('/server', as('reader'));
+  let lists = 0;
+  page.on('request', request => lists += LIST.test(request.url()));
+  // The end of a stream, as Connect has it.
+  const end = Buffer.from(JSON.stringify(
+      {error: {code: 'out_of_range', message: 'kept no longer'}}));
+  const head = Buffer.alloc(5);
+  head.writeUInt8(2);
+  head.writeUInt32BE(end.length, 1);
+  await page.route(WATCH, route => route.fulfill({
+    contentType: 'application/connect+proto',
+    body: Buffer.concat([head, end])}), {times: 1});
+  await page.goto(`${world.console.url}/queue?vehicle=acme-1`);
+  await page.locator('tr[aria-current]').waitFor();
+  assert.ok(await openCount(page) > 0);
+  assert.equal(lists, 2);
+  assert.equal(await page.locator('main .error').count(), 0);
+  await page.context().close();
+});
+
+test('the queue of a drive is worked through by keyboard', async () => {
+  const page = await open('/queue?vehicle=acme-1&order=probable');
+  const of = state => candidatesIn(state).filter(
+      ({name}) => name.startsWith('vehicles/acme-1/'));
+  const all = of('OPEN').length;
+  assert.ok(all > 50, `${all}`);
+  let pressed = 0;
+  while (await page.locator('tbody tr:not(.leaving, .space)').count() > 0) {
+    const button = page.getByRole('button', {name: 'Confirm'});
+    if (!await button.isEnabled()) {
+      // What was decided is on its way, and nothing else is left in view.
+      await sleep(50);
+      continue;
+    }
+    await page.keyboard.press(pressed++ % 3 === 2 ? 'r' : 'c');
+    assert.ok(pressed <= 2 * all, 'it does not come to its end');
+  }
+  await page.getByText('Nothing waits for a decision.').waitFor();
+  assert.equal(await openCount(page), 0);
+  assert.deepEqual(of('OPEN'), []);
+  assert.equal(of('CONFIRMED').length + of('REJECTED').length, all);
+  // Each decision is on record, by who made it.
+  const made = [...closures('acme-1'), ...rejections('acme-1')];
+  assert.ok(made.length > 20 && made.length <= pressed, `${made.length}`);
+  assert.ok(made.every(({decidedBy}) => decidedBy === 'token:verifier'));
+  // The other vehicle's are as they were.
+  assert.ok(candidatesIn('OPEN').length > 0);
+  assert.deepEqual(page.complaints, []);
+  await page.context().close();
+});
+
+test('a console that is stopped does not wait for those who watch', async () => {
+  const page = await open('/queue?vehicle=acme-2', 'reader');
+  await openCount(page);
+  const began = performance.now();
+  await world.console.close();
+  assert.ok(performance.now() - began < 3000,
+            `${performance.now() - began} ms`);
+  assert.deepEqual(page.complaints, []);
+  await page.context().close();
+});
