@@ -103,7 +103,7 @@ struct CandidateWatch::Rep {
   // What is read of a list of checks, page by page.
   struct Listing {
     v1::ListChecksRequest request;
-    // Of the first page.
+    // The watch cursor of the first page.
     std::string cursor;
     std::optional<Place> last;
   };
@@ -146,7 +146,7 @@ struct CandidateWatch::Rep {
   const CandidateWatchOptions options;
   const CandidateWatchCallbacks callbacks;
 
-  // Of the thread of Run().
+  // Members that only the thread of Run() uses.
   std::optional<Listing> listing;
   // By vehicle_uid: the number of the last event.
   std::unordered_map<std::string, std::uint64_t> last_numbers;

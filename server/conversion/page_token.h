@@ -31,8 +31,8 @@ std::string MakePageToken(const std::string& list, std::uint64_t sequence);
 absl::StatusOr<std::uint64_t> ParseSequenceToken(const std::string& list,
                                                  const std::string& token);
 
-// What a token holds that was made for this list, whatever its form; nothing if
-// it was not.
+// The content of a token that was made for this list, whatever its form;
+// nothing if it was not made for it.
 std::optional<std::string> OpenToken(const std::string& list,
                                      const std::string& token);
 

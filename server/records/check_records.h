@@ -17,15 +17,15 @@ struct StoredEvent {
   std::string vehicle_uid;
   // Nothing where the vehicle was deleted.
   std::optional<StoredCandidate> candidate = std::nullopt;
-  // Of the candidate's check.
+  // The pose of the candidate's check, and the revision at which it was made.
   std::uint64_t check_sequence = 0;
   std::uint64_t revision = 0;
-  // What was found of the candidate, as bytes.
+  // The evidence of the candidate, as bytes.
   std::string evidence = std::string();
 };
 
-// The payload of a check. Decoding, which takes nothing else: DATA_LOSS
-// (STORE_CORRUPT) if the payload is none.
+// The payload of a check; DATA_LOSS (STORE_CORRUPT) if it is decoded and is
+// none.
 std::string EncodeCheckRecord(const StoredCheck& check);
 absl::StatusOr<StoredCheck> DecodeCheckRecord(const std::string& payload);
 // The payload of an event, likewise.

@@ -279,7 +279,7 @@ class CandidateWatch final : public WritingCall<CandidateWatch> {
   bool fetching_ ABSL_GUARDED_BY(mutex_) = false;
   int unwanted_ ABSL_GUARDED_BY(mutex_) = 0;
   Clock::time_point write_start_ ABSL_GUARDED_BY(mutex_);
-  // What the call ends with, as soon as no message is being written.
+  // The status that the call ends with, as soon as no message is being written.
   std::optional<absl::Status> last_status_ ABSL_GUARDED_BY(mutex_);
 };
 

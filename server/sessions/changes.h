@@ -162,7 +162,7 @@ class Changes {
       PairKind kind, const PosePairRecord& pair, const PairDeletion& deletion,
       const std::optional<ChecksWrite>& checks,
       const std::function<void(absl::StatusOr<std::uint64_t>)>& callback);
-  // What a failed write of a pair is answered with. Where the store has another
+  // The answer to a failed write of a pair. Where the store has another
   // head of checks than memory, the vehicle leaves, to be loaded anew.
   absl::Status FailureOf(const absl::Status& status);
   // Gives the pair its place in the order of creation times. Returns whether it

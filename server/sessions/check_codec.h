@@ -45,7 +45,7 @@ struct StoredCandidate {
 
 struct StoredCheck {
   std::string vehicle_uid;
-  // What the search answered, whole, as bytes.
+  // The whole answer of the search, as bytes.
   std::string found;
   std::vector<StoredCandidate> candidates;
 };

@@ -45,7 +45,7 @@ inline constexpr std::uint64_t kMostChecks = 10'000;
 struct StoredChecksPolicy {
   // Null: no checks are stored, whatever vehicles' settings say.
   const CheckCodec* codec = nullptr;
-  // Of one search; a check that needs more finds nothing.
+  // The most comparisons of one search; a check that needs more finds nothing.
   std::int64_t max_search_steps = std::numeric_limits<std::int64_t>::max();
   // Null if nobody counts.
   std::shared_ptr<CheckMonitor> monitor = nullptr;
@@ -88,11 +88,12 @@ class StoredChecks {
   bool HasCandidates() const {
     return policy_.codec != nullptr && vehicle_->head.checks().last_event > 0;
   }
-  // What becomes of stored candidates when a pair is added: those open whose
-  // two places lie within kPlaceRadiusMeters of the pair's, along the path, and
-  // `named`, whatever it is. Nothing if there are none. NOT_FOUND
-  // (CHECK_NOT_FOUND) if `named` is not stored. Reads the store. REQUIRES:
-  // nothing else of the vehicle is written until the write that it answers is.
+  // The changes of stored candidates that a pair makes when it is added: it
+  // decides on those open whose two places lie within kPlaceRadiusMeters of the
+  // pair's, along the path, and `named`, whatever it is. Nothing if there are
+  // none. NOT_FOUND (CHECK_NOT_FOUND) if `named` is not stored. Reads the
+  // store. REQUIRES: nothing else of the vehicle is written until the write
+  // that it answers is.
   absl::StatusOr<std::optional<ChecksWrite>> WithPair(
       PairKind kind, const PosePairRecord& pair,
       const std::optional<CandidateId>& named, const std::string& actor) const;
@@ -142,7 +143,7 @@ class StoredChecks {
   // what was open of them is withdrawn.
   void TidySoon();
   void Tidy();
-  // What goes of the next checks, by sequence. Reads the store.
+  // Those of the next checks, by sequence, that go. Reads the store.
   absl::StatusOr<ChecksWrite> FindOld();
   // Forgets what is stored.
   void DropStored();

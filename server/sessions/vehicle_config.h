@@ -13,7 +13,7 @@ namespace revisit::server {
 
 enum class CoordinateFrame { kLocal, kGeodetic };
 
-// What becomes of the checks that fall due on the way.
+// Whether the checks that fall due on the way are kept.
 enum class ChecksKept { kOnRequest, kStored };
 
 struct GeodeticOrigin {

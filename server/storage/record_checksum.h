@@ -36,7 +36,7 @@ std::int64_t ChecksumOfSnapshotPart(std::int64_t format, std::int64_t snapshot,
 
 std::int64_t ChecksumOfCheck(std::int64_t format, VehicleKey key,
                              const CheckRecord& row);
-// Of number, time and payload: also known by it where the payload went.
+// An event is known by it also once its payload is gone.
 std::int64_t ChecksumOfEvent(std::int64_t format, VehicleKey key,
                              const EventRecord& row);
 std::int64_t ChecksumOfChecksHead(std::int64_t format, VehicleKey key,

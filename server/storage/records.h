@@ -167,7 +167,7 @@ struct EventPosition {
   std::uint64_t order = 0;
   VehicleKey key = 0;
   std::uint64_t number = 0;
-  // Of the event that stands there.
+  // The checksum of the event that stands there.
   std::int64_t checksum = 0;
 };
 
@@ -191,7 +191,7 @@ struct EventRecord {
 
 // One step of a vehicle's checks.
 struct ChecksWrite {
-  // What the store has to hold until then, and what it holds from then on.
+  // The head that the store has to hold until then, and that from then on.
   // REQUIRES: after.last_event is before.last_event plus the count of events.
   ChecksHead before;
   ChecksHead after;

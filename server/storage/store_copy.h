@@ -31,8 +31,8 @@ class StoreIntake {
   // The record's own number is kept.
   virtual absl::Status AddDeletedPair(VehicleKey key,
                                       const DeletedPairRecord& deleted) = 0;
-  // Of the vehicle, which has had events up to its head's last one: these stay
-  // behind, since nobody can have read them in this store.
+  // Adds checks of the vehicle, and sets its head. Its events stay behind,
+  // since nobody can have read them in this store.
   virtual absl::Status AddChecks(VehicleKey key, const ChecksHead& head,
                                  const std::vector<CheckRecord>& checks) = 0;
   virtual absl::Status Commit() = 0;

@@ -177,7 +177,7 @@ class StoredChecksTest : public ::testing::Test {
   }
 
   StoredChecksPolicy policy_;
-  // Of the server's clock.
+  // The time of the server's clock.
   std::atomic<std::int64_t> now_ns_{77};
   MemoryStorage memory_;
   HeldStorage storage_{&memory_};
