@@ -75,8 +75,9 @@ class SqliteStorage : public SqliteReader {
   }
 
   void DeleteVehicle(VehicleKey key, EventRecord farewell, Done done) override {
+    const std::size_t bytes = farewell.payload.size();
     Submit(
-        farewell.payload.size(),
+        bytes,
         [this, key, farewell = std::move(farewell)](SqliteDatabase& database) {
           const absl::Status status = RemoveVehicle(database, key, farewell);
           if (status.ok()) writer_->PurgeSoon();
