@@ -100,7 +100,7 @@ struct CandidateWatch::Rep {
         callbacks(watch_callbacks),
         cursor(watch_options.cursor) {}
 
-  // What is read of a list of checks, page by page.
+  // The state of a listing of checks that is read page by page.
   struct Listing {
     v1::ListChecksRequest request;
     // The watch cursor of the first page.

@@ -124,8 +124,8 @@ class CandidateWatch {
   const std::unique_ptr<Rep> rep_;
 };
 
-// What the check found of a candidate that is kept; null if it has none of its
-// rank.
+// Returns the candidate that the search of CHECK found under the rank of
+// CANDIDATE, with its alignment and gate; null if none has this rank.
 const v1::Candidate* EvidenceOf(const v1::Check& check,
                                 const v1::CheckCandidate& candidate);
 

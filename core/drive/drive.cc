@@ -109,6 +109,9 @@ struct Drive::Impl {
   void ScheduleNextCheck();
   // The number of the first check of a vehicle, counted in check intervals.
   std::int64_t FirstCheck() const;
+  // The number of the first check that is due after node LAST; the first of
+  // all if it is null.
+  std::int64_t FirstCheckAfter(std::optional<NodeIndex> last) const;
   // How many check intervals the node has reached.
   std::int64_t ChecksReached(NodeIndex node) const;
   // Where Gamma has no closed form, searches go through all nodes in any case,
@@ -207,9 +210,9 @@ void Drive::Impl::ExtendIndexes() {
 // The next check is the first that lies after all present nodes and leaves room
 // for the sequence and as much history.
 void Drive::Impl::ScheduleNextCheck() {
-  const std::int64_t next =
-      graph.size() == 0 ? 0 : ChecksReached(graph.size() - 1) + 1;
-  next_check = std::max(FirstCheck(), next);
+  std::optional<NodeIndex> last;
+  if (graph.size() > 0) last = graph.size() - 1;
+  next_check = FirstCheckAfter(last);
 }
 
 std::int64_t Drive::Impl::FirstCheck() const {
@@ -217,6 +220,11 @@ std::int64_t Drive::Impl::FirstCheck() const {
       std::ceil(2.0 * settings.search.sequence_length_meters /
                     settings.check_interval_meters -
                 kCheckTolerance));
+}
+
+std::int64_t Drive::Impl::FirstCheckAfter(std::optional<NodeIndex> last) const {
+  return std::max(FirstCheck(),
+                  last ? ChecksReached(*last) + 1 : std::int64_t{0});
 }
 
 std::int64_t Drive::Impl::ChecksReached(NodeIndex node) const {
@@ -229,9 +237,7 @@ std::optional<DueCheck> Drive::NextCheck(std::uint64_t after) const {
   const PoseGraph& graph = impl_->graph;
   const std::optional<NodeIndex> before = graph.NodeAtOrBefore(after);
   NodeIndex low = before ? *before + 1 : 0;
-  const std::int64_t number =
-      std::max(impl_->FirstCheck(),
-               before ? impl_->ChecksReached(*before) + 1 : std::int64_t{0});
+  const std::int64_t number = impl_->FirstCheckAfter(before);
   // The first node that has reached this check.
   NodeIndex high = graph.size();
   while (low < high) {
@@ -254,10 +260,8 @@ std::optional<DueCheck> Drive::NextCheck(std::uint64_t after) const {
 std::int64_t Drive::ChecksBehind(std::uint64_t after) const {
   const PoseGraph& graph = impl_->graph;
   if (graph.size() == 0) return 0;
-  const std::optional<NodeIndex> before = graph.NodeAtOrBefore(after);
   const std::int64_t first =
-      std::max(impl_->FirstCheck(),
-               before ? impl_->ChecksReached(*before) + 1 : std::int64_t{0});
+      impl_->FirstCheckAfter(graph.NodeAtOrBefore(after));
   return std::max(std::int64_t{0},
                   impl_->ChecksReached(graph.size() - 1) - first + 1);
 }

@@ -198,9 +198,7 @@ void StoredChecks::WriteSoon() {
                         return;
                       }
                       writing_ = false;
-                      for (const auto& then : std::exchange(settled_, {})) {
-                        then();
-                      }
+                      RunSettled();
                     }});
   queue_->PumpLater();
 }
@@ -211,7 +209,7 @@ void StoredChecks::Write() {
   const ChecksHead after = write.after;
   if (after == write.before && write.checks.empty()) {
     writing_ = false;
-    for (const auto& then : std::exchange(settled_, {})) then();
+    RunSettled();
     return;
   }
   in_flight_->Add();
@@ -277,11 +275,15 @@ void StoredChecks::TakeResult(const ChecksHead& after,
     // Store and memory are compared before the next write.
     vehicle_->NoteFailedWrite(status);
   }
-  for (const auto& then : std::exchange(settled_, {})) then();
+  RunSettled();
   queue_->Pump();
   // A write that failed is made again when something else happens, or the
   // vehicles that owe checks are looked for (Fleet::PayChecks()).
   if (status.ok()) Consider();
+}
+
+void StoredChecks::RunSettled() {
+  for (const auto& then : std::exchange(settled_, {})) then();
 }
 
 void StoredChecks::Settle(std::function<void()> then) {

@@ -139,6 +139,8 @@ class StoredChecks {
   void WriteSoon();
   void Write();
   void TakeResult(const ChecksHead& after, const absl::Status& status);
+  // Calls, once each, those that wait for the end of a write.
+  void RunSettled();
   // Looks for checks that are kept no longer, if it is time, and removes them;
   // what was open of them is withdrawn.
   void TidySoon();

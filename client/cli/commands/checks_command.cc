@@ -24,7 +24,7 @@ constexpr v1::CandidateState kStates[] = {
     v1::CANDIDATE_STATE_OPEN, v1::CANDIDATE_STATE_CONFIRMED,
     v1::CANDIDATE_STATE_REJECTED, v1::CANDIDATE_STATE_WITHDRAWN};
 
-// What follows the last slash of a name.
+// Returns the part of a name after its last slash.
 std::string LastPart(const std::string& name) {
   return name.substr(name.rfind('/') + 1);
 }

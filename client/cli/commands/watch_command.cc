@@ -59,7 +59,7 @@ constexpr char kDetails[] =
 constexpr int kRejects = 10;
 constexpr int kLeaves = 20;
 
-// What is to be told of an event.
+// Returns the line of JSON that the command prints for an event.
 std::string LineOf(const WatchedEvent& event) {
   const Json message =
       Json::parse(ToJson(event.message, false), nullptr, false);

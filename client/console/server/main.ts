@@ -112,7 +112,8 @@ function stopAtSignals(server: HttpServer, log: Log,
       stop.abort();
       server.close(() => process.exit(0));
       server.closeIdleConnections();
-      // Those whose call has ended would be kept for a next one.
+      // A connection whose call has ended would be kept open for a next call,
+      // and the server would not end: idle connections are closed repeatedly.
       setInterval(() => server.closeIdleConnections(), IDLE_MILLISECONDS);
       setTimeout(() => process.exit(0), DRAIN_MILLISECONDS);
     });

@@ -30,7 +30,8 @@ namespace revisit::server {
 // head of before (whether checks are stored, checked sequence, last event), the
 // one from then on, and the format of rows.
 
-// What the fence changes, and its conditions.
+// Assignments and conditions that a write adds to its fence, the update of the
+// vehicle's row.
 #define REVISIT_CHECKS_CHANGES(HEAD) \
   ", checks_stored = (" HEAD         \
   "::int8[])[4] <> 0, "              \
@@ -43,9 +44,10 @@ namespace revisit::server {
   "AND checked_sequence = (" HEAD       \
   "::int8[])[2] "                       \
   "AND last_event = (" HEAD "::int8[])[3]"
-// What follows the fence. CHECKS and EVENTS are arrays too, of five numbers for
-// each check (sequence, revision, open candidates, creation, checksum) and
-// three for each event (number, time, checksum); REMOVED are sequences.
+// Statements that a write adds behind its fence. CHECKS and EVENTS are arrays
+// too, of five numbers for each check (sequence, revision, open candidates,
+// creation, checksum) and three for each event (number, time, checksum);
+// REMOVED are sequences.
 #define REVISIT_CHECKS_ROWS(HEAD, CHECKS, PAYLOADS, REMOVED, EVENTS,           \
                             EVENT_PAYLOADS)                                    \
   ", c AS (INSERT INTO checks (vehicle_key, format, sequence, revision, "      \
