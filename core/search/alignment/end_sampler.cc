@@ -151,10 +151,15 @@ void EndSampler<D>::SampleAround(const Sampled& sample,
   if (standing != NodeBlock::kSize) keep(standing, stands_for);
 }
 
-// Whether the covariances of neighbouring samples of a block are about as
-// great, and so those of what lies between.
+// Whether the nodes that a sample stands for lie about where it does, none of
+// them beyond a jump, and the covariances of neighbouring samples of a block
+// are about as great, and so those of what lies between.
 template <int D>
 bool EndSampler<D>::IsEven(const Sampled& sample) const {
+  const auto first = static_cast<NodeIndex>(sample.block * NodeBlock::kSize +
+                                            sample.number * stride_);
+  const NodeIndex last = first + static_cast<NodeIndex>(stride_) - 1;
+  if (inputs_.history.graph.SegmentStart(last) > first) return false;
   const Anchors<D>& anchors = batch_.anchors();
   const std::size_t at = sample.at;
   return (sample.number == 0 || anchors.AreAlike(at - 1, at)) &&

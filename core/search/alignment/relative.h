@@ -37,8 +37,9 @@
 // may be sampled: of the ends around it, one is looked at, which stands for all
 // of them (ScoredEnd::nodes). This is an approximation. Others are found to the
 // last bit, but bounds of the log-odds take it that
-// - covariances change slowly from node to node: where those of neighbouring
-//   samples are not alike, nothing is sampled;
+// - positions and covariances change slowly from node to node: around a jump,
+//   and where covariances of neighbouring samples are not alike, nothing is
+//   sampled;
 // - a path is off by few slips at a time (heading_match.h).
 // The samples are chosen by the nodes' numbers, so that the same search finds
 // the same.

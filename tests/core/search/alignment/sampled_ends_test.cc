@@ -7,14 +7,18 @@
 #include <cstddef>
 #include <cstdlib>
 #include <iostream>
+#include <memory>
 #include <optional>
+#include <utility>
 #include <vector>
 
 #include "core/drive/block_bounds.h"
 #include "core/drive/drive.h"
 #include "core/drive/motion_history.h"
 #include "core/drive/pose_graph.h"
+#include "core/geometry/frame_transform.h"
 #include "core/geometry/pose.h"
+#include "core/geometry/recording_start.h"
 #include "core/search/alignment/heading_match.h"
 #include "core/search/alignment/recent_path.h"
 #include "core/search/alignment/relative.h"
@@ -22,6 +26,9 @@
 #include "core/search/search.h"
 #include "core/settings.h"
 #include "tests/bench/roads.h"
+#include "tests/core/drive/drives.h"
+#include "tests/oracle/dead_reckoning.h"
+#include "tests/random.h"
 
 namespace revisit::core {
 namespace {
@@ -232,6 +239,90 @@ TEST(SampledEndsTest, VerdictsAreThoseOfExhaustiveSearches) {
     }
   }
   EXPECT_GT(checks, 100u);
+}
+
+// A road, a jump to another one, and then a stretch of the first road again
+// that ends close to the jump: in the same frame after another jump, or in a
+// recording of its own.
+std::vector<PoseSample> DriveWithJump(std::mt19937_64& random,
+                                      bool in_one_recording) {
+  const oracle::Noise noise;
+  const auto estimate = [&](const std::vector<Pose>& truth) {
+    return oracle::WithCovariances(oracle::DrawEstimate(truth, noise, random),
+                                   noise);
+  };
+  Trip first(Pose{0.0, 0.0, 0.0, Uniform(random, -3.0, 3.0)});
+  const int meters = UniformInt(random, 260, 560);
+  const double phase = Uniform(random, 0.0, 1000.0);
+  first.Winding(phase, phase + meters);
+  const std::size_t jump = first.poses().size();
+  first.JumpTo({Uniform(random, 300.0, 600.0), Uniform(random, 300.0, 600.0),
+                0.0, Uniform(random, -3.0, 3.0)});
+  const double elsewhere = Uniform(random, 2000.0, 3000.0);
+  first.Winding(elsewhere, elsewhere + UniformInt(random, 520, 700));
+  const std::size_t end =
+      jump - 1 - static_cast<std::size_t>(UniformInt(random, 0, 30));
+  std::vector<Pose> again(
+      first.poses().begin() + static_cast<std::ptrdiff_t>(end) - 220,
+      first.poses().begin() + static_cast<std::ptrdiff_t>(end) + 1);
+  if (in_one_recording) {
+    std::vector<Pose> all = first.poses();
+    all.insert(all.end(), again.begin(), again.end());
+    return estimate(all);
+  }
+  std::vector<PoseSample> samples = estimate(first.poses());
+  RecordingStart start;
+  start.relation = RecordingRelation::kDatum;
+  start.covariance(0, 0) = start.covariance(1, 1) = 4.0;
+  start.covariance(2, 2) = 1.0;
+  start.covariance(3, 3) = 1e-4;
+  samples.front().recording_start =
+      std::make_shared<const RecordingStart>(start);
+  start.datum = again.front();
+  for (Pose& pose : again) pose = Compose(Inverse(start.datum), pose);
+  std::vector<PoseSample> of_pass = estimate(again);
+  of_pass.front().recording_start =
+      std::make_shared<const RecordingStart>(start);
+  for (PoseSample& sample : of_pass) {
+    sample.sequence = samples.size() + 1;
+    samples.push_back(sample);
+  }
+  return samples;
+}
+
+// A sample beyond a jump says nothing of the nodes before it.
+TEST(SampledEndsTest, PlacesNextToAJumpAreFound) {
+  std::mt19937_64 random = SeededRandom();
+  DriveSettings settings;
+  SearchOptions exhaustive = settings.search;
+  exhaustive.exhaustive = true;
+  int seen_before = 0;
+  int missed = 0;
+  for (int trial = 0; trial < 2000; ++trial) {
+    Drive drive(settings);
+    drive.Append(DriveWithJump(random, trial % 2 == 0), 1);
+    Search search(&drive);
+    const auto found = search.AtEnd(settings.search, nullptr);
+    const auto wanted = search.AtEnd(exhaustive, nullptr);
+    ASSERT_TRUE(found.ok() && wanted.ok());
+    if (wanted->candidates.empty() ||
+        wanted->candidates.front().relative->probability < 0.05) {
+      continue;
+    }
+    ++seen_before;
+    const Candidate& exact = wanted->candidates.front();
+    if (found->candidates.empty() ||
+        found->candidates.front().matched != exact.matched) {
+      ++missed;
+      continue;
+    }
+    EXPECT_NEAR(found->candidates.front().relative->probability,
+                exact.relative->probability, 0.01)
+        << trial;
+  }
+  std::cout << seen_before << " places seen before, " << missed << " missed\n";
+  EXPECT_GT(seen_before, 1500);
+  EXPECT_EQ(missed, 0);
 }
 
 }  // namespace
