@@ -20,6 +20,7 @@
 #ifndef REVISIT_CORE_DRIVE_CONFIRMED_LOOP_H_
 #define REVISIT_CORE_DRIVE_CONFIRMED_LOOP_H_
 
+#include <cstdint>
 #include <memory>
 
 #include "core/drive/measured_loop.h"
@@ -42,6 +43,13 @@ struct ConfirmedLoop {
   NodeIndex matched = 0;
   // Null where nothing was measured.
   std::shared_ptr<const MeasuredLoop> measured = nullptr;
+};
+
+// A confirmed loop with the two poses of which it was told.
+struct ConfirmedPair {
+  std::uint64_t query_sequence = 0;
+  std::uint64_t matched_sequence = 0;
+  ConfirmedLoop loop;
 };
 
 // The direction in which a loop was closed, judged by the headings.

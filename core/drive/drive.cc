@@ -72,13 +72,6 @@ constexpr double kCheckTolerance = 1e-9;
 }  // namespace
 
 struct Drive::Impl {
-  // Pairs that were verified to be one place.
-  struct Confirmed {
-    std::uint64_t query_sequence;
-    std::uint64_t matched_sequence;
-    ConfirmedLoop loop;
-  };
-
   // The findings of a moment, without their numbers, to tell when they change.
   struct Found {
     std::optional<FindingCode> model;
@@ -169,8 +162,8 @@ struct Drive::Impl {
   std::uint64_t last_sequence = 0;
   std::uint64_t revision = 0;
   std::uint64_t mark_settings_version = 1;
-  // In the order in which they came.
-  std::vector<Confirmed> confirmed;
+  // Pairs that were verified to be one place, in the order in which they came.
+  std::vector<ConfirmedPair> confirmed;
   // Pairs that were verified not to be one place, likewise.
   std::vector<std::pair<NodeIndex, NodeIndex>> rejected;
   ConsistencyMonitor monitor;
@@ -373,7 +366,7 @@ std::shared_ptr<const MeasuredLoop> Drive::Impl::InForce(
 
 void Drive::Impl::RebuildMonitor() {
   monitor = ConsistencyMonitor(MakeConsistencyOptions(settings));
-  for (const Confirmed& each : confirmed) {
+  for (const ConfirmedPair& each : confirmed) {
     if (IsWithinRecording(each.loop)) monitor.Confirm(graph, each.loop);
   }
 }
@@ -573,7 +566,7 @@ bool Drive::Fits(const DroppableSearch& search) const {
 std::vector<NodeIndex> Drive::LoopEnds() const {
   std::vector<NodeIndex> ends;
   ends.reserve(2 * impl_->confirmed.size());
-  for (const Impl::Confirmed& confirmed : impl_->confirmed) {
+  for (const ConfirmedPair& confirmed : impl_->confirmed) {
     ends.push_back(confirmed.loop.query);
     ends.push_back(confirmed.loop.matched);
   }
@@ -663,7 +656,7 @@ std::optional<Agreement> Drive::AgreementOf(
 
 FrameRelations Drive::RelationsAt(NodeIndex query) const {
   std::vector<ConfirmedLoop> loops;
-  for (const Impl::Confirmed& confirmed : impl_->confirmed) {
+  for (const ConfirmedPair& confirmed : impl_->confirmed) {
     const ConfirmedLoop& loop = confirmed.loop;
     if (std::max(loop.query, loop.matched) <= query) loops.push_back(loop);
   }
@@ -769,6 +762,10 @@ bool Drive::LoadRest(absl::string_view bytes) {
   return true;
 }
 
+const std::vector<ConfirmedPair>& Drive::confirmed() const {
+  return impl_->confirmed;
+}
+
 std::optional<ConfirmedLoop> Drive::LastConfirmed(NodeIndex query,
                                                   std::size_t recording) const {
   const Recordings& recordings = impl_->recordings;
@@ -776,7 +773,7 @@ std::optional<ConfirmedLoop> Drive::LastConfirmed(NodeIndex query,
   const std::pair wanted(std::min(of_query, recording),
                          std::max(of_query, recording));
   const ConfirmedLoop* last = nullptr;
-  for (const Impl::Confirmed& confirmed : impl_->confirmed) {
+  for (const ConfirmedPair& confirmed : impl_->confirmed) {
     const ConfirmedLoop& loop = confirmed.loop;
     const NodeIndex later = std::max(loop.query, loop.matched);
     if (later > query ||

@@ -36,6 +36,7 @@ class PoseGraph;
 class Recordings;
 struct Agreement;
 struct ConfirmedLoop;
+struct ConfirmedPair;
 struct DroppedStretch;
 struct MeasuredLoop;
 struct NodeRange;
@@ -208,6 +209,10 @@ class Drive {
   // Counts the changes of settings under which marks show something else; above
   // 0.
   std::uint64_t mark_settings_version() const;
+  // The confirmed loops in the order in which they came, without those of one
+  // node and those of which a pose was dropped. Any other change of the drive
+  // but an append ends the reference.
+  const std::vector<ConfirmedPair>& confirmed() const;
   // The last confirmed loop whose nodes both lie at or before the query, and of
   // which one lies in the query's recording, the other in this one.
   std::optional<ConfirmedLoop> LastConfirmed(NodeIndex query,

@@ -1,0 +1,47 @@
+// What it is worth to look at a candidate: by how much the positions of a whole
+// drive would become surer if its two nodes were confirmed to be one place.
+//
+// The value of a candidate is its probability times this reduction: of the
+// looks that one can afford, those come first that are expected to take the
+// most variance away. An order by probability alone asks again and again for
+// what the last closure has shown already.
+//
+// Under dead reckoning, with z = e_q - e_m the difference of the errors of the
+// query q and the matched node m, that a closure shows up to the tolerance R_z,
+// the errors of node i lose
+//
+//   g_i = tr_xy[ X_i (Gamma_qm + R_z)^-1 X_i^T ],   X_i = S_iq - S_im,
+//
+// the update of a Kalman filter: tr_xy is the trace over x and y, S_ij the
+// cross-covariance of two nodes and Gamma_qm the covariance of z, all given
+// what the nearest confirmed closures have shown (known_drift.h).
+#ifndef REVISIT_CORE_SEARCH_CANDIDATES_VALUE_H_
+#define REVISIT_CORE_SEARCH_CANDIDATES_VALUE_H_
+
+#include "core/drive/node_index.h"
+
+namespace revisit::core {
+
+class Drive;
+
+// The mean of g_i over the drive's nodes, m^2, at least 0: over some 256 of
+// them, evenly taken. Nodes of other recordings lose nothing by it, and count.
+//
+// R_z is kConfirmedTolerance. Covariances are those claimed, scaled by the
+// drive's mean inflation (Drive::SimilarityOf() of its own options). Of the
+// confirmed closures within the recording, two count: the last whose later node
+// is at or before the query, and the first whose later node is behind it. Where
+// others have removed more of the variance, the reduction is overstated.
+//
+// Returns 0 where closures show no drift (NoiseModel::closures_show_drift),
+// where the two nodes are of different recordings, and where the covariances
+// are not those of dead reckoning, or ill-conditioned, so that the formula does
+// not hold. O(256 + confirmed closures): some tens of us beside a few thousand
+// closures. Const in the drive, so that calls may run at the same time.
+// REQUIRES: both nodes are in the graph.
+double VarianceReduction(const Drive& drive, NodeIndex query,
+                         NodeIndex matched);
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_SEARCH_CANDIDATES_VALUE_H_
