@@ -14,13 +14,12 @@
 #include "core/drive/node_noise.h"
 #include "core/drive/pose_graph.h"
 #include "core/drive/recordings.h"
-#include "core/geometry/heading.h"
 #include "core/geometry/recording_start.h"
 #include "core/geometry/state_matrix.h"
-#include "core/noise/dead_reckoning.h"
 #include "core/noise/similarity_model.h"
 #include "core/settings.h"
 #include "tests/core/drive/drives.h"
+#include "tests/core/drive/wandering.h"
 #include "tests/core/graphs.h"
 #include "tests/oracle/dead_reckoning.h"
 #include "tests/oracle/joint_errors.h"
@@ -29,42 +28,6 @@
 
 namespace revisit::core {
 namespace {
-
-// Wanders about, with the covariances of its dead reckoning: each pose, or
-// nearly, becomes a node.
-template <int D>
-std::vector<PoseSample> RandomSamples(std::mt19937_64& random, int poses) {
-  std::vector<PoseSample> samples;
-  Pose pose = RandomPose(random, 50.0);
-  StateMatrix<D> covariance = ToMatrix<D>(RandomCovariance(random, 0.5));
-  for (int i = 0; i < poses; ++i) {
-    PoseSample sample;
-    sample.sequence = static_cast<std::uint64_t>(i) + 1;
-    if (i > 0) {
-      const Pose before = pose;
-      pose.heading = WrapHeading(pose.heading + Normal(random, 0.3));
-      pose.x += 2.0 * std::cos(pose.heading);
-      pose.y += 2.0 * std::sin(pose.heading);
-      if (D == 4) pose.z += Normal(random, 0.1);
-      const StateMatrix<D> psi = DeadReckoningTransition<D>(before, pose);
-      covariance = (psi * covariance * psi.transpose()).eval() +
-                   ToMatrix<D>(RandomCovariance(random, 0.4));
-    }
-    sample.pose = pose;
-    sample.covariance = ToCovariance<D>(covariance);
-    samples.push_back(sample);
-  }
-  return samples;
-}
-
-// A pose whose last node is this one; 0 if there is none.
-std::uint64_t PoseAt(const PoseGraph& graph, NodeIndex i) {
-  const std::uint64_t before = graph.node(i).sequence;
-  for (const std::uint64_t sequence : {before, before + 1}) {
-    if (graph.NodeAtOrBefore(sequence) == i) return sequence;
-  }
-  return 0;
-}
 
 // Random closures between nodes, of which some are measured.
 void CloseAnything(std::mt19937_64& random, int closures, Drive* drive) {
@@ -108,7 +71,7 @@ void ExpectWhatAllErrorsLose(std::mt19937_64& random) {
   settings.apply_inflation = UniformInt(random, 0, 1) == 0;
   settings.search.use_belief = !settings.apply_inflation;
   Drive drive(settings);
-  drive.Append(RandomSamples<D>(random, UniformInt(random, 5, 45)), 1);
+  drive.Append(WanderingSamples<D>(random, UniformInt(random, 5, 45)), 1);
   CloseAnything(random, UniformInt(random, 0, 6), &drive);
   const PoseGraph& graph = drive.graph();
   const auto last = static_cast<int>(graph.size()) - 1;
@@ -262,7 +225,7 @@ TEST(VarianceReductionTest, IsANumberWhateverIsClaimed) {
     settings.state_space =
         trial % 2 == 0 ? StateSpace::kPlanar : StateSpace::kSpatial;
     Drive drive(settings);
-    std::vector<PoseSample> samples = RandomSamples<4>(random, 40);
+    std::vector<PoseSample> samples = WanderingSamples<4>(random, 40);
     const double extent = std::pow(10.0, Uniform(random, 0.0, 8.0));
     for (PoseSample& sample : samples) {
       sample.pose.x += extent;
