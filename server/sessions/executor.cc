@@ -13,6 +13,9 @@ namespace {
 // Longest that a strand goes from task to task before others get their turn:
 // little beside the time of a flush, much beside the way through the queue.
 constexpr std::chrono::microseconds kSlice{500};
+// How often a search finds its strand at work when its turn in the lane comes,
+// before it waits in the strand instead, and holds up what comes behind it.
+constexpr int kTurnsMissed = 4;
 
 }  // namespace
 
@@ -73,6 +76,14 @@ struct Strand::State : std::enable_shared_from_this<Strand::State> {
   struct Task {
     std::function<void()> run;
     Where where;
+    // Only has a search wait in its lane again.
+    bool is_search_ahead = false;
+  };
+  // A search that waits in its lane, beside the strand.
+  struct Search {
+    std::function<void()> run;
+    std::string flow;
+    int turns_missed = 0;
   };
 
   explicit State(const Lanes& strand_lanes) : lanes(strand_lanes) {}
@@ -96,6 +107,36 @@ struct Strand::State : std::enable_shared_from_this<Strand::State> {
     });
   }
 
+  void Await(const std::shared_ptr<Search>& search) {
+    lanes.searches->Post(search->flow, [self = shared_from_this(), search] {
+      self->TakeTurn(search);
+    });
+  }
+
+  // The turn of a search has come in its lane.
+  void TakeTurn(const std::shared_ptr<Search>& search) {
+    {
+      const MutexLock guard(&mutex);
+      if (taken) {
+        if (++search->turns_missed < kTurnsMissed) {
+          // It waits once more when what is there now is done.
+          ++searches_ahead;
+          tasks.push_back({[this, search] { Await(search); },
+                           {lanes.short_work},
+                           /*is_search_ahead=*/true});
+        } else {
+          tasks.push_back(
+              {std::move(search->run), {lanes.searches, search->flow}});
+        }
+        return;
+      }
+      taken = true;
+    }
+    search->run();
+    search->run = nullptr;
+    GoOn();
+  }
+
   void RunSome(const Where& where) {
     const auto pause = std::chrono::steady_clock::now() + kSlice;
     Task task;
@@ -105,6 +146,7 @@ struct Strand::State : std::enable_shared_from_this<Strand::State> {
         if (tasks.empty() || !(tasks.front().where == where)) break;
         task = std::move(tasks.front());
         tasks.pop_front();
+        if (task.is_search_ahead) --searches_ahead;
       }
       task.run();
       task.run = nullptr;
@@ -129,6 +171,8 @@ struct Strand::State : std::enable_shared_from_this<Strand::State> {
   const Lanes lanes;
   Mutex mutex;
   std::deque<Task> tasks ABSL_GUARDED_BY(mutex);
+  // Those of the tasks that only have a search wait again.
+  std::size_t searches_ahead ABSL_GUARDED_BY(mutex) = 0;
   // Whether a thread is in a task, or was asked to be.
   bool taken ABSL_GUARDED_BY(mutex) = false;
 };
@@ -152,12 +196,13 @@ void Strand::PostLong(std::function<void()> task) {
 
 bool Strand::IsWanted() const {
   const MutexLock guard(&state_->mutex);
-  return !state_->tasks.empty();
+  return state_->tasks.size() > state_->searches_ahead;
 }
 
 void Strand::PostSearch(std::string flow, std::function<void()> task) {
   const std::shared_ptr<State> state = state_;
-  state->Post({std::move(task), {state->lanes.searches, std::move(flow)}});
+  state->Await(std::make_shared<State::Search>(
+      State::Search{std::move(task), std::move(flow)}));
 }
 
 bool Strand::Enter(State* state) {

@@ -77,8 +77,10 @@ struct Lanes {
 
 // Runs tasks one after the other, in the order posted, each in its lane; gives
 // the thread back between tasks, after a slice of time, so that other strands
-// get their turn. Thread-safe. A task may post to its own strand, and may drop
-// the last reference to it.
+// get their turn. Searches are in no order with other tasks: they wait for
+// their turn in their lane beside the strand, so that short work of the strand
+// does not wait for the searches of others. Thread-safe. A task may post to its
+// own strand, and may drop the last reference to it.
 class Strand {
  public:
   // The executors must outlive all tasks.
@@ -89,9 +91,11 @@ class Strand {
 
   void Post(std::function<void()> task);
   void PostLong(std::function<void()> task);
-  // `flow`: whose search it is.
+  // `flow`: whose search it is. A search that finds the strand at work again
+  // and again gets its place in the order after all.
   void PostSearch(std::string flow, std::function<void()> task);
-  // Whether tasks wait for the one that runs.
+  // Whether tasks wait for the one that runs, other than searches in their
+  // lane.
   bool IsWanted() const;
 
   // Runs the task before it returns, on the caller's thread, if nothing of the

@@ -235,6 +235,54 @@ TEST(StrandTest, LongWorkHoldsUpItsOwnStrandOnly) {
   EXPECT_TRUE(behind.Get());
 }
 
+TEST(StrandTest, ShortWorkDoesNotWaitForASearchThatWaitsForOthers) {
+  Executor short_work(1);
+  Executor searches(1);
+  const Lanes lanes(&short_work, &short_work, &searches);
+  const std::shared_ptr<Strand> strand = Strand::Create(lanes);
+  const Answer<bool> gate;
+  const Answer<bool> searched;
+  searches.Post([=] { gate.Get(); });
+  strand->PostSearch("mine", [=] { searched.Set(true); });
+  for (int i = 0; i < 100; ++i) {
+    const Answer<bool> ran;
+    strand->Post([=] { ran.Set(true); });
+    EXPECT_TRUE(ran.Get());
+  }
+  EXPECT_FALSE(strand->IsWanted());
+  EXPECT_FALSE(searched.IsSet());
+  gate.Set(true);
+  EXPECT_TRUE(searched.Get());
+}
+
+TEST(StrandTest, ASearchRunsInTheEndHoweverBusyItsStrandIs) {
+  Executor short_work(1);
+  Executor searches(1);
+  const Lanes lanes(&short_work, &short_work, &searches);
+  const std::shared_ptr<Strand> strand = Strand::Create(lanes);
+  std::atomic<int> running{0};
+  std::atomic<bool> searched{false};
+  const Answer<bool> ended;
+  // There is always more to do until the search ran.
+  std::function<void()> again = [&] {
+    EXPECT_EQ(++running, 1);
+    const bool is_over = searched;
+    --running;
+    if (is_over) {
+      ended.Set(true);
+    } else {
+      strand->Post(again);
+    }
+  };
+  strand->Post(again);
+  strand->PostSearch("mine", [&] {
+    EXPECT_EQ(++running, 1);
+    searched = true;
+    --running;
+  });
+  EXPECT_TRUE(ended.Get());
+}
+
 TEST(StrandTest, TaskMayDropTheLastReference) {
   Executor executor(2);
   for (int i = 0; i < 200; ++i) {
