@@ -1,6 +1,7 @@
 #include "server/conversion/stored_checks_codec.h"
 
 #include <algorithm>
+#include <cmath>
 #include <iterator>
 #include <optional>
 #include <utility>
@@ -33,7 +34,9 @@ constexpr EnumRow<v1::CandidateCause, CandidateCause> kCauses[] = {
     {v1::CANDIDATE_CAUSE_LOOP_CLOSURE, CandidateCause::kLoopClosure},
     {v1::CANDIDATE_CAUSE_REJECTION, CandidateCause::kRejection},
     {v1::CANDIDATE_CAUSE_DELETION, CandidateCause::kDeletion},
-    {v1::CANDIDATE_CAUSE_RETENTION, CandidateCause::kRetention}};
+    {v1::CANDIDATE_CAUSE_RETENTION, CandidateCause::kRetention},
+    {v1::CANDIDATE_CAUSE_SEARCH, CandidateCause::kSearch},
+    {v1::CANDIDATE_CAUSE_CONTRADICTION, CandidateCause::kContradiction}};
 static_assert(std::size(kCauses) == v1::CandidateCause_ARRAYSIZE - 1);
 
 constexpr std::size_t kMostVehicles = 100;
@@ -44,24 +47,38 @@ void Encode(const std::string& vehicle_id, std::uint64_t check_sequence,
   message->set_name(
       CheckCandidateName(vehicle_id, check_sequence, candidate.number));
   message->set_rank(candidate.rank);
+  message->set_latest_rank(candidate.latest_rank);
+  message->set_value_square_meters(candidate.value);
   message->set_state(ToProto(kStates, candidate.state));
   message->set_cause(ToProto(kCauses, candidate.cause));
   message->set_actor(candidate.actor);
   EncodeTime(candidate.update_time_ns, message->mutable_update_time());
   message->set_event_number(candidate.event_number);
-  if (candidate.decision.empty()) return;
-  message->set_decision(
-      PosePairResourceName(candidate.state == CandidateState::kConfirmed
-                               ? PairKind::kLoopClosure
-                               : PairKind::kRejectedCandidate,
-                           vehicle_id, candidate.decision));
+  const bool is_contradicted =
+      candidate.cause == CandidateCause::kContradiction;
+  const std::string& decision =
+      is_contradicted ? candidate.contradicted : candidate.decision;
+  if (decision.empty()) return;
+  message->set_decision(PosePairResourceName(
+      is_contradicted || candidate.state == CandidateState::kConfirmed
+          ? PairKind::kLoopClosure
+          : PairKind::kRejectedCandidate,
+      vehicle_id, decision));
 }
 
-const v1::Candidate* EvidenceOf(const v1::CandidateSet& set, int rank) {
+const v1::Candidate* WithRank(const v1::CandidateSet& set, int rank) {
   const auto found = std::find_if(
       set.candidates().begin(), set.candidates().end(),
       [&](const v1::Candidate& candidate) { return candidate.rank() == rank; });
   return found == set.candidates().end() ? nullptr : &*found;
+}
+
+// What was found of a candidate last; null where that is kept no longer.
+const v1::Candidate* EvidenceOf(const v1::Check& check,
+                                const v1::CheckCandidate& candidate) {
+  return candidate.latest_rank() > 0
+             ? WithRank(check.latest(), candidate.latest_rank())
+             : WithRank(check.candidates(), candidate.rank());
 }
 
 // The values of a repeated enum's field, without UNSPECIFIED.
@@ -110,11 +127,13 @@ std::string ProtoCheckCodec::EncodeEvent(const EventOrigin& origin,
   event.vehicle_uid = origin.vehicle_uid;
   event.candidate = check.candidates[index];
   event.check_sequence = check_sequence;
+  const bool is_latest = event.candidate->latest_rank > 0;
   v1::CandidateSet found;
-  if (found.ParseFromString(check.found)) {
+  if (found.ParseFromString(is_latest ? check.latest : check.found)) {
     event.revision = found.revision();
     const v1::Candidate* const evidence =
-        EvidenceOf(found, event.candidate->rank);
+        WithRank(found, is_latest ? event.candidate->latest_rank
+                                  : event.candidate->rank);
     if (evidence != nullptr) event.evidence = evidence->SerializeAsString();
   }
   return EncodeEventRecord(event);
@@ -139,6 +158,13 @@ absl::Status EncodeCheck(const std::string& vehicle_id,
                                 " of vehicle '", vehicle_id,
                                 "' found is not a CandidateSet"));
   }
+  if (!stored->latest.empty() &&
+      !message->mutable_latest()->ParseFromString(stored->latest)) {
+    return Corrupt(absl::StrCat("what stored check ", record.sequence,
+                                " of vehicle '", vehicle_id,
+                                "' found last is not a CandidateSet"));
+  }
+  message->set_stale(stored->stale);
   message->set_name(CheckName(vehicle_id, record.sequence));
   message->set_vehicle_uid(stored->vehicle_uid);
   for (const StoredCandidate& candidate : stored->candidates) {
@@ -203,26 +229,39 @@ absl::StatusOr<CandidateFilter> DecodeFilter(const v1::CandidateFilter& message,
         kInvalidField, path.Field("least_probability"),
         absl::StrCat("got ", filter.least_probability, "; allowed is [0, 1]"));
   }
+  filter.least_value = message.least_value_square_meters();
+  if (!(filter.least_value >= 0.0 && std::isfinite(filter.least_value))) {
+    violations.Add(
+        kInvalidField, path.Field("least_value_square_meters"),
+        absl::StrCat("got ", filter.least_value, "; allowed is [0, infinity)"));
+  }
   if (violations.count() > 0) return violations.ToStatus();
   return filter;
 }
 
-bool Matches(const CandidateFilter& filter, v1::CandidateState state,
+bool Matches(const CandidateFilter& filter, const v1::CheckCandidate& candidate,
              const v1::Candidate& evidence) {
-  return (filter.states.empty() || filter.states.count(state) > 0) &&
+  return (filter.states.empty() ||
+          filter.states.count(candidate.state()) > 0) &&
          (filter.verdicts.empty() ||
           filter.verdicts.count(evidence.verdict()) > 0) &&
          // A candidate without a probability is as probable as 0.
-         evidence.probability() >= filter.least_probability;
+         evidence.probability() >= filter.least_probability &&
+         candidate.value_square_meters() >= filter.least_value;
+}
+
+bool Matches(const CandidateFilter& filter, const v1::Check& check,
+             const v1::CheckCandidate& candidate) {
+  const v1::Candidate* const evidence = EvidenceOf(check, candidate);
+  return Matches(
+      filter, candidate,
+      evidence == nullptr ? v1::Candidate::default_instance() : *evidence);
 }
 
 bool Matches(const CandidateFilter& filter, const v1::Check& check) {
   return std::any_of(check.states().begin(), check.states().end(),
                      [&](const v1::CheckCandidate& candidate) {
-                       const v1::Candidate* const evidence =
-                           EvidenceOf(check.candidates(), candidate.rank());
-                       return evidence != nullptr &&
-                              Matches(filter, candidate.state(), *evidence);
+                       return Matches(filter, check, candidate);
                      });
 }
 

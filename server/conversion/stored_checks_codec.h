@@ -49,14 +49,17 @@ struct CandidateFilter {
   std::set<v1::CandidateState> states;
   std::set<v1::Verdict> verdicts;
   double least_probability = 0.0;
+  double least_value = 0.0;
 };
 // INVALID_ARGUMENT if the message is none.
 absl::StatusOr<CandidateFilter> DecodeFilter(const v1::CandidateFilter& message,
                                              const FieldPath& path);
-// Whether a candidate in this state, with this evidence, is wanted: all but its
-// vehicle.
-bool Matches(const CandidateFilter& filter, v1::CandidateState state,
+// Whether a candidate with this evidence is wanted: all but its vehicle.
+bool Matches(const CandidateFilter& filter, const v1::CheckCandidate& candidate,
              const v1::Candidate& evidence);
+// Whether a candidate of the check is, by the evidence that was found last.
+bool Matches(const CandidateFilter& filter, const v1::Check& check,
+             const v1::CheckCandidate& candidate);
 // Whether any candidate of the check is wanted.
 bool Matches(const CandidateFilter& filter, const v1::Check& check);
 

@@ -21,7 +21,9 @@ constexpr EnumRow<stored::CandidateCause, CandidateCause> kCauses[] = {
     {stored::CANDIDATE_CAUSE_LOOP_CLOSURE, CandidateCause::kLoopClosure},
     {stored::CANDIDATE_CAUSE_REJECTION, CandidateCause::kRejection},
     {stored::CANDIDATE_CAUSE_DELETION, CandidateCause::kDeletion},
-    {stored::CANDIDATE_CAUSE_RETENTION, CandidateCause::kRetention}};
+    {stored::CANDIDATE_CAUSE_RETENTION, CandidateCause::kRetention},
+    {stored::CANDIDATE_CAUSE_SEARCH, CandidateCause::kSearch},
+    {stored::CANDIDATE_CAUSE_CONTRADICTION, CandidateCause::kContradiction}};
 
 void Write(const StoredCandidate& candidate, stored::CheckCandidate* message) {
   message->set_number(candidate.number);
@@ -33,6 +35,10 @@ void Write(const StoredCandidate& candidate, stored::CheckCandidate* message) {
   EncodeTime(candidate.update_time_ns, message->mutable_update_time());
   message->set_decision(candidate.decision);
   message->set_event_number(candidate.event_number);
+  message->set_latest_rank(candidate.latest_rank);
+  message->set_probability(candidate.probability);
+  message->set_value_square_meters(candidate.value);
+  message->set_contradicted(candidate.contradicted);
 }
 
 absl::StatusOr<StoredCandidate> Read(const stored::CheckCandidate& message) {
@@ -50,6 +56,10 @@ absl::StatusOr<StoredCandidate> Read(const stored::CheckCandidate& message) {
   candidate.update_time_ns = ToNanoseconds(message.update_time());
   candidate.decision = message.decision();
   candidate.event_number = message.event_number();
+  candidate.latest_rank = message.latest_rank();
+  candidate.probability = message.probability();
+  candidate.value = message.value_square_meters();
+  candidate.contradicted = message.contradicted();
   return candidate;
 }
 
@@ -59,6 +69,9 @@ std::string EncodeCheckRecord(const StoredCheck& check) {
   stored::Check message;
   message.set_vehicle_uid(check.vehicle_uid);
   message.set_candidates(check.found);
+  message.set_latest(check.latest);
+  message.set_basis(check.basis);
+  message.set_stale(check.stale);
   for (const StoredCandidate& candidate : check.candidates) {
     Write(candidate, message.add_states());
   }
@@ -73,6 +86,9 @@ absl::StatusOr<StoredCheck> DecodeCheckRecord(const std::string& payload) {
   StoredCheck check;
   check.vehicle_uid = message.vehicle_uid();
   check.found = message.candidates();
+  check.latest = message.latest();
+  check.basis = message.basis();
+  check.stale = message.stale();
   for (const stored::CheckCandidate& state : message.states()) {
     absl::StatusOr<StoredCandidate> candidate = Read(state);
     if (!candidate.ok()) return candidate.status();

@@ -13,6 +13,7 @@ constexpr MethodRule kRules[] = {
     {"DeleteVehicle", Verb::kAdmin},
     {"ExportPoseGraph", Verb::kRead, false, true},
     {"FindCandidates", Verb::kRead},
+    {"FindContradictions", Verb::kRead},
     {"GetCheck", Verb::kRead},
     {"GetServerInfo", std::nullopt},
     {"GetVehicle", Verb::kRead},

@@ -1,7 +1,11 @@
 #include "server/service/check_calls.h"
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
+#include <limits>
+#include <map>
+#include <set>
 #include <string>
 #include <utility>
 #include <vector>
@@ -11,6 +15,7 @@
 #include "server/conversion/names.h"
 #include "server/conversion/page_token.h"
 #include "server/conversion/stored_checks_codec.h"
+#include "server/fields/enums.h"
 #include "server/sessions/executor.h"
 #include "server/storage/storage.h"
 
@@ -22,6 +27,9 @@ namespace {
 constexpr std::size_t kMostPageBytes = std::size_t{1} << 20;
 constexpr int kMostLookedAt = 2000;
 constexpr int kVehiclesPerRead = 100;
+constexpr int kChecksPerRead = 1000;
+constexpr int kMostLooksPerKilometer = 1000;
+constexpr char kAllVehicles[] = "vehicles/-";
 
 absl::Status CheckNotFound(const ParsedCheckName& name) {
   return Error(
@@ -45,16 +53,24 @@ absl::Status ReadCheck(Storage* storage, const ParsedCheckName& name,
   return EncodeCheck(name.vehicle_id, found->front(), check);
 }
 
+// What a list is asked for, beside its place.
+struct ListOptions {
+  CandidateFilter filter;
+  bool fresh_only = false;
+  int looks_per_kilometer = 0;
+  // That of the page tokens.
+  std::string list;
+  int page_size = 0;
+};
+
 // One page of a list of checks.
 class Page {
  public:
-  Page(Storage* storage, const Caller& caller, CandidateFilter filter,
-       std::string list, int page_size, v1::ListChecksResponse* response)
+  Page(Storage* storage, const Caller& caller, ListOptions options,
+       v1::ListChecksResponse* response)
       : storage_(storage),
         caller_(caller),
-        filter_(std::move(filter)),
-        list_(std::move(list)),
-        page_size_(page_size),
+        options_(std::move(options)),
         response_(response) {}
 
   // The checks of one vehicle that come behind the place.
@@ -65,6 +81,41 @@ class Page {
     if (absl::IsNotFound(vehicle.status())) return VehicleNotFound(vehicle_id);
     if (!vehicle.ok()) return vehicle.status();
     return Add(*vehicle, after.sequence + 1);
+  }
+
+  // The same, the most valuable first. The place is the count of those before.
+  absl::Status ListByValue(const std::string& vehicle_id,
+                           const VehiclePlace& after) {
+    const absl::StatusOr<VehicleRecord> vehicle =
+        storage_->GetVehicle(vehicle_id);
+    if (absl::IsNotFound(vehicle.status())) return VehicleNotFound(vehicle_id);
+    if (!vehicle.ok()) return vehicle.status();
+    const absl::StatusOr<std::vector<Ranked>> ranked = Rank(*vehicle);
+    if (!ranked.ok()) return ranked.status();
+    std::size_t next = std::min<std::size_t>(after.sequence, ranked->size());
+    for (; next < ranked->size(); ++next) {
+      if (response_->checks_size() == options_.page_size ||
+          bytes_ > kMostPageBytes) {
+        response_->set_next_page_token(
+            MakePageToken(options_.list, VehiclePlace{vehicle_id, next}));
+        break;
+      }
+      const std::uint64_t sequence = (*ranked)[next].sequence;
+      const absl::StatusOr<std::vector<CheckRecord>> found =
+          storage_->ListChecks(vehicle->key, sequence, sequence, false, 1);
+      if (!found.ok()) return found.status();
+      // It may have gone since.
+      if (found->empty()) continue;
+      v1::Check check;
+      const absl::Status status =
+          EncodeCheck(vehicle_id, found->front(), &check);
+      if (!status.ok()) return status;
+      for (v1::CheckCandidate& candidate : *check.mutable_states()) {
+        candidate.set_recommended(recommended_.count(candidate.name()) > 0);
+      }
+      Take(&check);
+    }
+    return absl::OkStatus();
   }
 
   // Those of all vehicles that the caller may read. The others leave no trace.
@@ -100,34 +151,111 @@ class Page {
  private:
   bool IsWanted(const std::string& vehicle_id) const {
     return caller_.May(Verb::kRead, vehicle_id) &&
-           (filter_.vehicles.empty() || filter_.vehicles.count(vehicle_id) > 0);
+           (options_.filter.vehicles.empty() ||
+            options_.filter.vehicles.count(vehicle_id) > 0);
+  }
+
+  bool IsWanted(const v1::Check& check) const {
+    return (!options_.fresh_only || !check.stale()) &&
+           Matches(options_.filter, check);
+  }
+
+  void Take(v1::Check* check) {
+    bytes_ += check->ByteSizeLong();
+    response_->add_checks()->Swap(check);
+  }
+
+  // A check in the order of value.
+  struct Ranked {
+    // That of its most valuable open candidate; negative if it has none. A loop
+    // closure that others contradict comes before all.
+    double value = -1.0;
+    std::uint64_t sequence = 0;
+  };
+
+  // An open candidate, for the looks of its kilometre.
+  struct Look {
+    double value = 0.0;
+    std::string name;
+  };
+
+  // All checks of the vehicle that are wanted, in the order of value, and what
+  // is recommended of them.
+  absl::StatusOr<std::vector<Ranked>> Rank(const VehicleRecord& vehicle) {
+    std::vector<Ranked> ranked;
+    std::map<std::int64_t, std::vector<Look>> looks;
+    for (std::uint64_t first = 1;;) {
+      const absl::StatusOr<std::vector<CheckRecord>> records =
+          storage_->ListChecks(vehicle.key, first, kLastSequence, false,
+                               kChecksPerRead);
+      if (!records.ok()) return records.status();
+      for (const CheckRecord& record : *records) {
+        v1::Check check;
+        const absl::Status status = EncodeCheck(vehicle.id, record, &check);
+        if (!status.ok()) return status;
+        if (!IsWanted(check)) continue;
+        Ranked one;
+        one.sequence = record.sequence;
+        const auto kilometer = static_cast<std::int64_t>(
+            check.candidates().query().travelled_meters() / 1000.0);
+        for (const v1::CheckCandidate& candidate : check.states()) {
+          if (candidate.state() != v1::CANDIDATE_STATE_OPEN ||
+              !Matches(options_.filter, check, candidate)) {
+            continue;
+          }
+          const double value =
+              candidate.cause() == v1::CANDIDATE_CAUSE_CONTRADICTION
+                  ? std::numeric_limits<double>::infinity()
+                  : candidate.value_square_meters();
+          one.value = std::max(one.value, value);
+          looks[kilometer].push_back({value, candidate.name()});
+        }
+        ranked.push_back(one);
+      }
+      if (static_cast<int>(records->size()) < kChecksPerRead) break;
+      first = records->back().sequence + 1;
+    }
+    std::sort(ranked.begin(), ranked.end(),
+              [](const Ranked& a, const Ranked& b) {
+                return a.value != b.value ? a.value > b.value
+                                          : a.sequence < b.sequence;
+              });
+    const auto most = static_cast<std::size_t>(options_.looks_per_kilometer);
+    for (auto& [kilometer, of_it] : looks) {
+      std::stable_sort(
+          of_it.begin(), of_it.end(),
+          [](const Look& a, const Look& b) { return a.value > b.value; });
+      for (std::size_t i = 0; i < std::min(most, of_it.size()); ++i) {
+        recommended_.insert(of_it[i].name);
+      }
+    }
+    return ranked;
   }
 
   absl::Status Add(const VehicleRecord& vehicle, std::uint64_t first) {
-    const bool open_only = filter_.states == std::set<v1::CandidateState>{
-                                                 v1::CANDIDATE_STATE_OPEN};
+    const bool open_only =
+        options_.filter.states ==
+        std::set<v1::CandidateState>{v1::CANDIDATE_STATE_OPEN};
     while (!is_full_) {
-      const int wanted = page_size_ - response_->checks_size() + 1;
+      const int wanted = options_.page_size - response_->checks_size() + 1;
       const absl::StatusOr<std::vector<CheckRecord>> records =
           storage_->ListChecks(vehicle.key, first, kLastSequence, open_only,
                                wanted);
       if (!records.ok()) return records.status();
       for (const CheckRecord& record : *records) {
-        if (response_->checks_size() == page_size_ || bytes_ > kMostPageBytes ||
-            looked_at_ == kMostLookedAt) {
+        if (response_->checks_size() == options_.page_size ||
+            bytes_ > kMostPageBytes || looked_at_ == kMostLookedAt) {
           is_full_ = true;
           // Behind what was looked at.
           response_->set_next_page_token(MakePageToken(
-              list_, VehiclePlace{vehicle.id, record.sequence - 1}));
+              options_.list, VehiclePlace{vehicle.id, record.sequence - 1}));
           return absl::OkStatus();
         }
         ++looked_at_;
         v1::Check check;
         const absl::Status status = EncodeCheck(vehicle.id, record, &check);
         if (!status.ok()) return status;
-        if (!Matches(filter_, check)) continue;
-        bytes_ += check.ByteSizeLong();
-        response_->add_checks()->Swap(&check);
+        if (IsWanted(check)) Take(&check);
       }
       if (static_cast<int>(records->size()) < wanted) return absl::OkStatus();
       first = records->back().sequence + 1;
@@ -137,14 +265,39 @@ class Page {
 
   Storage* const storage_;
   const Caller& caller_;
-  const CandidateFilter filter_;
-  const std::string list_;
-  const int page_size_;
+  const ListOptions options_;
   v1::ListChecksResponse* const response_;
   bool is_full_ = false;
   std::size_t bytes_ = 0;
   int looked_at_ = 0;
+  // Names of candidates.
+  std::set<std::string> recommended_;
 };
+
+// Whether the order and what goes with it can be had of the parent.
+absl::StatusOr<bool> DecodeOrder(const v1::ListChecksRequest& request) {
+  const bool by_value = request.order() == v1::LIST_CHECKS_ORDER_BY_VALUE;
+  Violations violations;
+  if (!v1::ListChecksOrder_IsValid(request.order())) {
+    AddUnknownValue(request.order(), kRequest.Field("order"), &violations);
+  }
+  if (by_value && request.parent() == kAllVehicles) {
+    violations.Add(kInvalidField, kRequest.Field("order"),
+                   "BY_VALUE is the order of one vehicle's checks; got the "
+                   "parent vehicles/-");
+  }
+  const int looks = request.looks_per_kilometer();
+  if (looks < 0 || looks > kMostLooksPerKilometer) {
+    violations.Add(kInvalidField, kRequest.Field("looks_per_kilometer"),
+                   absl::StrCat("got ", looks, "; allowed is [0, ",
+                                kMostLooksPerKilometer, "]"));
+  } else if (looks > 0 && !by_value) {
+    violations.Add(kInvalidField, kRequest.Field("looks_per_kilometer"),
+                   "looks are recommended in the order BY_VALUE only");
+  }
+  if (violations.count() > 0) return violations.ToStatus();
+  return by_value;
+}
 
 }  // namespace
 
@@ -168,7 +321,7 @@ absl::Status ListChecks(const ServiceContext& service, const UnaryCallPtr& call,
                         const v1::ListChecksRequest& request,
                         v1::ListChecksResponse* response) {
   std::string vehicle_id;
-  if (request.parent() != "vehicles/-") {
+  if (request.parent() != kAllVehicles) {
     absl::StatusOr<std::string> id =
         ParseVehicleName(request.parent(), kRequest.Field("parent"));
     if (!id.ok()) return id.status();
@@ -177,7 +330,10 @@ absl::Status ListChecks(const ServiceContext& service, const UnaryCallPtr& call,
     }
     vehicle_id = *std::move(id);
   }
-  const std::string list = absl::StrCat("ListChecks ", request.parent());
+  const absl::StatusOr<bool> by_value = DecodeOrder(request);
+  if (!by_value.ok()) return by_value.status();
+  const std::string list =
+      absl::StrCat("ListChecks ", request.parent(), *by_value ? " value" : "");
   const absl::StatusOr<int> page_size =
       PageSize(request.page_size(), 100, 1000);
   if (!page_size.ok()) return page_size.status();
@@ -187,8 +343,10 @@ absl::Status ListChecks(const ServiceContext& service, const UnaryCallPtr& call,
   const absl::StatusOr<CandidateFilter> filter =
       DecodeFilter(request.filter(), kRequest.Field("filter"));
   if (!filter.ok()) return filter.status();
+  const ListOptions options{*filter, request.fresh_only(),
+                            request.looks_per_kilometer(), list, *page_size};
   service.executor->Post([=, storage = service.storage, after = *after,
-                          filter = *filter, page_size = *page_size,
+                          by_value = *by_value,
                           is_first = request.page_token().empty()] {
     if (is_first) {
       const absl::StatusOr<EventPosition> last = storage->LastEvent();
@@ -198,9 +356,9 @@ absl::Status ListChecks(const ServiceContext& service, const UnaryCallPtr& call,
       }
       response->set_watch_cursor(MakeCursor(*last));
     }
-    Page page(storage, call->rights().caller(), filter, list, page_size,
-              response);
+    Page page(storage, call->rights().caller(), options, response);
     call->End(vehicle_id.empty() ? page.ListAll(after)
+              : by_value         ? page.ListByValue(vehicle_id, after)
                                  : page.ListOf(vehicle_id, after));
   });
   return absl::OkStatus();

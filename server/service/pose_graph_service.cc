@@ -6,6 +6,7 @@
 #include "server/service/check_calls.h"
 #include "server/service/export_pose_graph.h"
 #include "server/service/find_candidates.h"
+#include "server/service/find_contradictions.h"
 #include "server/service/list_poses.h"
 #include "server/service/list_recordings.h"
 #include "server/service/list_vehicles.h"
@@ -108,6 +109,13 @@ grpc::ServerUnaryReactor* PoseGraphService::DeleteLoopClosure(
     grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
     grpc::ByteBuffer* response) {
   return Begin(service_, "DeleteLoopClosure", server::DeleteLoopClosure, call,
+               request, response);
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::FindContradictions(
+    grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+    grpc::ByteBuffer* response) {
+  return Begin(service_, "FindContradictions", server::FindContradictions, call,
                request, response);
 }
 

@@ -38,7 +38,8 @@ using WithPoses = Service::WithRawCallbackMethod_AppendPoses<
 template <typename Base>
 using WithLoopClosures = Service::WithRawCallbackMethod_AddLoopClosure<
     Service::WithRawCallbackMethod_ListLoopClosures<
-        Service::WithRawCallbackMethod_DeleteLoopClosure<Base>>>;
+        Service::WithRawCallbackMethod_DeleteLoopClosure<
+            Service::WithRawCallbackMethod_FindContradictions<Base>>>>;
 template <typename Base>
 using WithCandidates = Service::WithRawCallbackMethod_FindCandidates<
     Service::WithRawCallbackMethod_RejectCandidate<
@@ -92,6 +93,9 @@ class PoseGraphService final : public service_internal::AllMethods {
       grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
       grpc::ByteBuffer* response) override;
   grpc::ServerUnaryReactor* DeleteLoopClosure(
+      grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+      grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* FindContradictions(
       grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
       grpc::ByteBuffer* response) override;
   grpc::ServerUnaryReactor* RejectCandidate(

@@ -212,8 +212,7 @@ class CandidateWatch final : public WritingCall<CandidateWatch> {
     }
     if (!event.message.has_candidate()) return true;
     const v1::CandidateEvent& candidate = event.message.candidate();
-    return Matches(filter_, candidate.candidate().state(),
-                   candidate.evidence());
+    return Matches(filter_, candidate.candidate(), candidate.evidence());
   }
 
   // Reads events that are no longer in memory.

@@ -341,15 +341,17 @@ void Changes::AddPosePair(PairKind kind, PosePairRecord pair,
     callback(allowed);
     return;
   }
-  // One that is there already decides nothing anew.
-  const bool asks_checks = found == pairs.end() && checks_->HasCandidates();
+  // One that is there already decides anew only what the caller names.
+  const bool is_there = found != pairs.end();
+  const bool asks_checks =
+      (!is_there || answers.candidate) && checks_->HasCandidates();
   if (measured->empty() && !asks_checks && !answers.candidate) {
     StorePair(kind, std::move(pair), nullptr, std::nullopt, callback);
     return;
   }
   queue_->Hold();
-  queue_->PostLong([this, kind, pair = std::move(pair), measured, asks_checks,
-                    answers, callback]() mutable {
+  queue_->PostLong([this, kind, pair = std::move(pair), measured, is_there,
+                    asks_checks, answers, callback]() mutable {
     absl::Status read;
     if (!measured->empty()) {
       read = measured
@@ -359,11 +361,12 @@ void Changes::AddPosePair(PairKind kind, PosePairRecord pair,
                  .status();
     }
     // Its time goes with what it decides.
-    if (asks_checks) PlaceInOrder(&pair);
+    if (asks_checks && !is_there) PlaceInOrder(&pair);
     absl::StatusOr<std::optional<ChecksWrite>> checks =
         std::optional<ChecksWrite>();
     if (read.ok() && asks_checks) {
-      checks = checks_->WithPair(kind, pair, answers.candidate, answers.actor);
+      checks = checks_->WithPair(kind, pair, is_there, answers.candidate,
+                                 answers.actor);
     } else if (read.ok() && answers.candidate && !checks_->HasCandidates()) {
       checks = StoredChecks::CheckNotFound(vehicle_->id, *answers.candidate);
     }
@@ -397,7 +400,24 @@ void Changes::StorePair(
   if (present != vehicle_->pairs.Of(kind).end()) {
     added.pair = present->second;
     added.revision = vehicle_->head.revision();
-    Confirm(Answering(callback, added));
+    if (!checks) {
+      Confirm(Answering(callback, added));
+      return;
+    }
+    Write(
+        [&](Storage::Done done) {
+          vehicle_->storage->PutChecks(vehicle_->head.key(), *checks,
+                                       std::move(done));
+        },
+        [this, added, head = checks->after,
+         callback](const absl::Status& status) {
+          if (!status.ok()) {
+            callback(FailureOf(status));
+            return;
+          }
+          vehicle_->head.set_checks(head);
+          callback(added);
+        });
     return;
   }
   const bool is_last = PlaceInOrder(&pair);

@@ -21,15 +21,20 @@ enum class CandidateCause {
   kLoopClosure,
   kRejection,
   kDeletion,
-  kRetention
+  kRetention,
+  kSearch,
+  kContradiction
 };
 
 // A candidate of a stored check, and what has become of it.
 struct StoredCandidate {
-  // From 1 on, in the order of rank.
+  // From 1 on, in the order of rank, then in that in which later searches found
+  // more.
   std::uint32_t number = 0;
-  // core::Candidate::rank.
+  // core::Candidate::rank in the set that was found first, and in the latest
+  // one; 0 where it is not in there.
   int rank = 0;
+  int latest_rank = 0;
   // The pose with which the matched node came.
   std::uint64_t matched_sequence = 0;
   CandidateState state = CandidateState::kOpen;
@@ -41,12 +46,25 @@ struct StoredCandidate {
   std::string decision = std::string();
   // The number of the last event about it.
   std::uint64_t event_number = 0;
+  // By the last search; 0 where that did not find it.
+  double probability = 0.0;
+  // The probability times core::VarianceReduction(), m^2, of one that is open.
+  double value = 0.0;
+  // The id of the closure that was found to contradict others, so that it is
+  // asked about once; empty if none was.
+  std::string contradicted = std::string();
 };
 
 struct StoredCheck {
   std::string vehicle_uid;
-  // The whole answer of the search, as bytes.
+  // The whole answer of the first search, as bytes, and that of the last one,
+  // empty where there was no second.
   std::string found;
+  std::string latest = std::string();
+  // CheckBasis::Of() at the last search.
+  std::uint64_t basis = 0;
+  // It is to be searched again.
+  bool stale = false;
   std::vector<StoredCandidate> candidates;
 };
 

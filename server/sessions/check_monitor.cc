@@ -20,6 +20,15 @@ void CheckMonitor::CollectMetrics(Metrics* metrics) const {
                 "Candidates of these that were worth keeping.")
       .Add(counts.candidates);
   metrics
+      ->Gauge("revisit_stale_checks",
+              "Stored checks of vehicles in memory that wait to be searched "
+              "again, since what they depend on has changed.")
+      .Add(counts.stale);
+  metrics
+      ->Counter("revisit_second_searches_total",
+                "Searches of checks that were stored before.")
+      .Add(counts.second_searches);
+  metrics
       ->Histogram("revisit_check_delay_seconds",
                   "Time from when a pose was acknowledged, or its vehicle "
                   "loaded, until its check was stored.")

@@ -199,7 +199,20 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
     return true;
   }
 
+  // Has sessions go on with what they do by themselves and could not, or may do
+  // only so often.
+  void GoOn() ABSL_LOCKS_EXCLUDED(mutex) {
+    const MutexLock guard(&mutex);
+    for (auto& [id, entry] : entries) {
+      VehicleSession* const session = entry.session.get();
+      if (session->gone()) continue;
+      if (!session->is_loaded()) session->PayChecks();
+      if (session->has_second_searches()) session->SearchAgain();
+    }
+  }
+
   void PayChecks() ABSL_LOCKS_EXCLUDED(mutex) {
+    GoOn();
     // Sessions are let go after the lock is.
     std::vector<std::shared_ptr<VehicleSession>> over;
     bool has_room = false;

@@ -21,12 +21,14 @@ std::vector<std::pair<PairKind, const PosePairRecord*>> JudgedPairs::AsAdded()
 }
 
 void JudgedPairs::Add(PairKind kind, const PosePairRecord& pair) {
+  ++version_;
   MutableOf(kind).emplace(pair.id, pair);
   latest_ns_ =
       std::max(latest_ns_.value_or(pair.create_time_ns), pair.create_time_ns);
 }
 
 void JudgedPairs::Remove(PairKind kind, const std::vector<std::string>& ids) {
+  ++version_;
   for (const std::string& id : ids) MutableOf(kind).erase(id);
   latest_ns_.reset();
   for (const PosePairs* of_kind : {&loop_closures_, &rejections_}) {

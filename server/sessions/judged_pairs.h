@@ -29,6 +29,9 @@ class JudgedPairs {
   // consistency come out the same whenever they are made anew.
   std::vector<std::pair<PairKind, const PosePairRecord*>> AsAdded() const;
 
+  // Counts the changes of pairs.
+  std::uint64_t version() const { return version_; }
+
   // REQUIRES: no pair of this kind has its id.
   void Add(PairKind kind, const PosePairRecord& pair);
   void Remove(PairKind kind, const std::vector<std::string>& ids);
@@ -41,6 +44,7 @@ class JudgedPairs {
   PosePairs loop_closures_;
   PosePairs rejections_;
   std::optional<std::int64_t> latest_ns_;
+  std::uint64_t version_ = 0;
 };
 
 }  // namespace revisit::server

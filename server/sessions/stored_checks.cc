@@ -32,19 +32,6 @@ constexpr int kChecksPerRead = 1000;
 // Checks that are looked at in one step for whether they are still kept.
 constexpr int kChecksPerTidy = 200;
 
-// The pose with which a node came.
-std::uint64_t PoseOf(const core::PoseGraph& graph, core::NodeIndex index) {
-  const core::Node node = graph.node(index);
-  return node.sequence + (node.fraction > 0.0 ? 1 : 0);
-}
-
-// Whether a candidate is worth keeping. Of alignments that know no probability,
-// those are which pass.
-bool IsWorthKeeping(const core::Candidate& candidate, double probability) {
-  return candidate.relative ? candidate.relative->probability >= probability
-                            : candidate.verdict == core::Verdict::kAccepted;
-}
-
 }  // namespace
 
 absl::Status StoredChecks::CheckNotFound(const std::string& vehicle_id,
@@ -56,14 +43,8 @@ absl::Status StoredChecks::CheckNotFound(const std::string& vehicle_id,
 }
 
 bool StoredChecks::Stores() const {
-  return policy_.codec != nullptr &&
+  return changes_.codec() != nullptr &&
          vehicle_->head.config().checks == ChecksKept::kStored;
-}
-
-// Whether checks may be made and written at all.
-bool StoredChecks::IsAtWork() const {
-  return policy_.codec != nullptr && !vehicle_->gone_status() &&
-         vehicle_->loaded && vehicle_->Writable().ok();
 }
 
 void StoredChecks::NoteDebt(std::int64_t debt) {
@@ -86,8 +67,9 @@ void StoredChecks::Consider() {
   // Most vehicles never had to do with stored checks, and come by with every
   // append.
   if (!Stores() && head == ChecksHead() && made_.empty()) return;
-  if (!IsAtWork()) return;
+  if (!changes_.MayWork()) return;
   TidySoon();
+  second_.Consider();
   if (!Stores()) {
     made_.clear();
     landed_.clear();
@@ -114,7 +96,7 @@ void StoredChecks::Consider() {
 
 void StoredChecks::TakeTurn() {
   searching_ = false;
-  if (!IsAtWork() || !Stores()) return;
+  if (!changes_.MayWork() || !Stores()) return;
   const std::optional<core::DueCheck> due =
       vehicle_->loaded->NextCheck(made_to_);
   if (!due) {
@@ -159,13 +141,16 @@ void StoredChecks::Take(const core::CandidateSet& set) {
     kept.number = static_cast<std::uint32_t>(made.check.candidates.size());
     kept.rank = candidate.rank;
     kept.matched_sequence = PoseOf(graph, candidate.matched);
+    kept.probability = ProbabilityOf(candidate);
   }
   if (policy_.monitor != nullptr) {
     policy_.monitor->Made(made.check.candidates.size());
   }
   if (!made.check.candidates.empty()) {
-    made.check.found =
-        policy_.codec->EncodeFound(vehicle_->View(), set, search_.all_turns());
+    made.check.basis = basis_.Of(made.sequence, made.check.candidates);
+    made.version = basis_.version();
+    made.check.found = changes_.codec()->EncodeFound(vehicle_->View(), set,
+                                                     search_.all_turns());
   }
   made_to_ = made.sequence;
   made_.push_back(std::move(made));
@@ -193,7 +178,7 @@ void StoredChecks::WriteSoon() {
   // store is then asked what it has.
   const Turn turn = failed_ ? Turn::kAlone : Turn::kAppend;
   queue_->PushBack({turn, [this](const absl::Status& status) {
-                      if (status.ok() && IsAtWork()) {
+                      if (status.ok() && changes_.MayWork()) {
                         Write();
                         return;
                       }
@@ -221,9 +206,7 @@ void StoredChecks::Write() {
 }
 
 ChecksWrite StoredChecks::MakeWrite() {
-  ChecksWrite write;
-  write.before = vehicle_->head.checks();
-  write.after = write.before;
+  ChecksWrite write = changes_.Begin();
   write.after.stores = Stores();
   for (const Made& made : made_) {
     write.after.checked_sequence = made.sequence;
@@ -231,20 +214,20 @@ ChecksWrite StoredChecks::MakeWrite() {
     StoredCheck check = made.check;
     check.vehicle_uid = vehicle_->head.config().uid;
     const std::int64_t now_ns = vehicle_->clock();
-    for (StoredCandidate& candidate : check.candidates) {
-      candidate.update_time_ns = now_ns;
-      candidate.event_number = ++write.after.last_event;
-      Decide(made.sequence, &candidate);
-    }
     for (std::size_t i = 0; i < check.candidates.size(); ++i) {
-      write.events.push_back(EventOf(made.sequence, check, i));
+      StoredCandidate& candidate = check.candidates[i];
+      candidate.update_time_ns = now_ns;
+      changes_.Decide(made.sequence, &candidate);
+      candidate.value = changes_.ValueOf(made.sequence, candidate);
+      changes_.Tell(made.sequence, &check, i, &write);
     }
-    CheckRecord& record = write.checks.emplace_back();
+    CheckRecord record;
     record.sequence = made.sequence;
     record.revision = made.revision;
-    record.open_count = OpenCount(check);
     record.create_time_ns = now_ns;
-    record.payload = policy_.codec->EncodeCheck(check);
+    changes_.Put(record, check, &write);
+    // Something changed between its search and now.
+    if (made.version != basis_.version()) second_.LookAgain();
   }
   if (Stores() && !vehicle_->loaded->NextCheck(made_to_)) {
     write.after.checked_sequence = vehicle_->head.durable_sequence();
@@ -300,13 +283,14 @@ void StoredChecks::Settle(std::function<void()> then) {
 
 void StoredChecks::TidySoon() {
   const auto now = std::chrono::steady_clock::now();
-  if (tidying_ || !HasCandidates() || (tidy_from_ == 0 && now < next_tidy_)) {
+  if (tidying_ || !changes_.HasCandidates() ||
+      (tidy_from_ == 0 && now < next_tidy_)) {
     return;
   }
   tidying_ = true;
   next_tidy_ = now + policy_.tidy_period;
   queue_->PushBack({Turn::kAlone, [this](const absl::Status& status) {
-                      if (!status.ok() || !IsAtWork()) {
+                      if (!status.ok() || !changes_.MayWork()) {
                         tidying_ = false;
                         return;
                       }
@@ -344,8 +328,7 @@ void StoredChecks::Tidy() {
 absl::StatusOr<ChecksWrite> StoredChecks::FindOld() {
   Storage* const storage = vehicle_->storage;
   const VehicleKey key = vehicle_->head.key();
-  ChecksWrite write;
-  write.before = write.after = vehicle_->head.checks();
+  ChecksWrite write = changes_.Begin();
   if (tidy_from_ == 0) {
     tidy_from_ = 1;
     tidy_excess_ = 0;
@@ -372,8 +355,8 @@ absl::StatusOr<ChecksWrite> StoredChecks::FindOld() {
   const auto before = [now_ns](std::chrono::hours kept) {
     return now_ns - std::chrono::nanoseconds(kept).count();
   };
-  const Transition withdrawn{CandidateState::kWithdrawn,
-                             CandidateCause::kRetention, "", now_ns, ""};
+  const CandidateTransition withdrawn{
+      CandidateState::kWithdrawn, CandidateCause::kRetention, "", now_ns, ""};
   for (const CheckRecord& record : *page) {
     if (!record.damage.ok()) continue;
     const bool is_old =
@@ -382,12 +365,11 @@ absl::StatusOr<ChecksWrite> StoredChecks::FindOld() {
     if (!is_old && tidy_excess_ == 0) continue;
     if (tidy_excess_ > 0) --tidy_excess_;
     write.removed.push_back(record.sequence);
-    absl::StatusOr<StoredCheck> check =
-        policy_.codec->DecodeCheck(record.payload);
-    if (!check.ok()) continue;
+    std::optional<StoredCheck> check = changes_.Read(record);
+    if (!check) continue;
     for (std::size_t i = 0; i < check->candidates.size(); ++i) {
       if (check->candidates[i].state == CandidateState::kOpen) {
-        Change(record, &*check, i, withdrawn, &write);
+        changes_.Change(record, &*check, i, withdrawn, &write);
       }
     }
   }
@@ -398,50 +380,13 @@ absl::StatusOr<ChecksWrite> StoredChecks::FindOld() {
 
 // ---- Pairs
 
-double StoredChecks::TravelledAt(std::uint64_t sequence) const {
-  const core::PoseGraph& graph = vehicle_->loaded->graph();
-  const auto node = graph.NodeAtOrBefore(sequence);
-  return node ? graph.node(*node).travelled_meters : 0.0;
-}
-
-bool StoredChecks::IsPair(const PosePairRecord& pair, std::uint64_t query,
-                          std::uint64_t matched) const {
-  const auto are_near = [this](std::uint64_t a, std::uint64_t b) {
-    return std::abs(TravelledAt(a) - TravelledAt(b)) <=
-           core::kPlaceRadiusMeters;
-  };
-  return (are_near(pair.query_sequence, query) &&
-          are_near(pair.matched_sequence, matched)) ||
-         (are_near(pair.query_sequence, matched) &&
-          are_near(pair.matched_sequence, query));
-}
-
-void StoredChecks::Decide(std::uint64_t sequence,
-                          StoredCandidate* candidate) const {
-  for (const PairKind kind : kPairKinds) {
-    for (const auto& [id, pair] : vehicle_->pairs.Of(kind)) {
-      if (!pair.damage.ok() ||
-          !IsPair(pair, sequence, candidate->matched_sequence)) {
-        continue;
-      }
-      const bool confirms = kind == PairKind::kLoopClosure;
-      candidate->state =
-          confirms ? CandidateState::kConfirmed : CandidateState::kRejected;
-      candidate->cause =
-          confirms ? CandidateCause::kLoopClosure : CandidateCause::kRejection;
-      candidate->decision = id;
-      return;
-    }
-  }
-}
-
 absl::StatusOr<std::vector<CheckRecord>> StoredChecks::ChecksNear(
     std::uint64_t sequence) const {
   const core::PoseGraph& graph = vehicle_->loaded->graph();
   const auto node = graph.NodeAtOrBefore(sequence);
   core::NodeIndex first = node.value_or(0);
   core::NodeIndex last = first;
-  const double here = TravelledAt(sequence);
+  const double here = changes_.TravelledAt(sequence);
   while (first > 0 && here - graph.node(first - 1).travelled_meters <=
                           core::kPlaceRadiusMeters) {
     --first;
@@ -461,15 +406,14 @@ absl::StatusOr<std::vector<CheckRecord>> StoredChecks::ChecksNear(
 }
 
 absl::StatusOr<std::optional<ChecksWrite>> StoredChecks::WithPair(
-    PairKind kind, const PosePairRecord& pair,
+    PairKind kind, const PosePairRecord& pair, bool is_there,
     const std::optional<CandidateId>& named, const std::string& actor) const {
   const bool confirms = kind == PairKind::kLoopClosure;
-  const Transition transition{
+  const CandidateTransition transition{
       confirms ? CandidateState::kConfirmed : CandidateState::kRejected,
       confirms ? CandidateCause::kLoopClosure : CandidateCause::kRejection,
       actor, pair.create_time_ns, pair.id};
-  ChecksWrite write;
-  write.before = write.after = vehicle_->head.checks();
+  ChecksWrite write = changes_.Begin();
   bool is_named_found = false;
   std::vector<CheckRecord> records;
   for (const std::uint64_t place :
@@ -496,11 +440,8 @@ absl::StatusOr<std::optional<ChecksWrite>> StoredChecks::WithPair(
                             }),
                 records.end());
   for (const CheckRecord& record : records) {
-    // A check that is damaged decides nothing.
-    if (!record.damage.ok()) continue;
-    absl::StatusOr<StoredCheck> check =
-        policy_.codec->DecodeCheck(record.payload);
-    if (!check.ok()) continue;
+    std::optional<StoredCheck> check = changes_.Read(record);
+    if (!check) continue;
     for (std::size_t i = 0; i < check->candidates.size(); ++i) {
       const StoredCandidate& candidate = check->candidates[i];
       const bool is_named = named && named->check_sequence == record.sequence &&
@@ -508,10 +449,16 @@ absl::StatusOr<std::optional<ChecksWrite>> StoredChecks::WithPair(
       is_named_found = is_named_found || is_named;
       const bool is_undecided = candidate.state == CandidateState::kOpen ||
                                 candidate.state == CandidateState::kWithdrawn;
+      // A pair that is there has decided what lies at its places, but for what
+      // was opened again because others contradict it.
+      const bool is_decided =
+          candidate.decision == pair.id && candidate.state == transition.state;
       const bool is_meant =
-          is_named || (is_undecided && IsPair(pair, record.sequence,
-                                              candidate.matched_sequence));
-      if (is_meant) Change(record, &*check, i, transition, &write);
+          (is_named && !is_decided) ||
+          (is_undecided && is_there && candidate.contradicted == pair.id) ||
+          (is_undecided && !is_there &&
+           changes_.IsPair(pair, record.sequence, candidate.matched_sequence));
+      if (is_meant) changes_.Change(record, &*check, i, transition, &write);
     }
   }
   if (named && !is_named_found) return CheckNotFound(vehicle_->id, *named);
@@ -525,10 +472,9 @@ absl::StatusOr<std::optional<ChecksWrite>> StoredChecks::WithoutPair(
   const CandidateState decided = kind == PairKind::kLoopClosure
                                      ? CandidateState::kConfirmed
                                      : CandidateState::kRejected;
-  const Transition transition{CandidateState::kOpen, CandidateCause::kDeletion,
-                              actor, time_ns, ""};
-  ChecksWrite write;
-  write.before = write.after = vehicle_->head.checks();
+  const CandidateTransition transition{
+      CandidateState::kOpen, CandidateCause::kDeletion, actor, time_ns, ""};
+  ChecksWrite write = changes_.Begin();
   // Those that were named may lie anywhere.
   std::uint64_t first = 0;
   while (true) {
@@ -537,14 +483,18 @@ absl::StatusOr<std::optional<ChecksWrite>> StoredChecks::WithoutPair(
                                       kLastSequence, false, kChecksPerRead);
     if (!page.ok()) return page.status();
     for (const CheckRecord& record : *page) {
-      if (!record.damage.ok()) continue;
-      absl::StatusOr<StoredCheck> check =
-          policy_.codec->DecodeCheck(record.payload);
-      if (!check.ok()) continue;
+      std::optional<StoredCheck> check = changes_.Read(record);
+      if (!check) continue;
       for (std::size_t i = 0; i < check->candidates.size(); ++i) {
-        if (check->candidates[i].state == decided &&
-            check->candidates[i].decision == pair.id) {
-          Change(record, &*check, i, transition, &write);
+        const StoredCandidate& candidate = check->candidates[i];
+        const bool is_decided =
+            candidate.state == decided && candidate.decision == pair.id;
+        // Nothing is left that could be upheld.
+        const bool is_contradicted =
+            candidate.cause == CandidateCause::kContradiction &&
+            candidate.contradicted == pair.id;
+        if (is_decided || is_contradicted) {
+          changes_.Change(record, &*check, i, transition, &write);
         }
       }
     }
@@ -555,53 +505,13 @@ absl::StatusOr<std::optional<ChecksWrite>> StoredChecks::WithoutPair(
   return std::optional<ChecksWrite>(std::move(write));
 }
 
-void StoredChecks::Change(const CheckRecord& record, StoredCheck* check,
-                          std::size_t index, const Transition& transition,
-                          ChecksWrite* write) const {
-  StoredCandidate& candidate = check->candidates[index];
-  candidate.state = transition.state;
-  candidate.cause = transition.cause;
-  candidate.actor = transition.actor;
-  candidate.update_time_ns = transition.time_ns;
-  candidate.decision = transition.decision;
-  candidate.event_number = ++write->after.last_event;
-  write->events.push_back(EventOf(record.sequence, *check, index));
-  CheckRecord changed = record;
-  changed.open_count = OpenCount(*check);
-  changed.payload = policy_.codec->EncodeCheck(*check);
-  if (!write->checks.empty() &&
-      write->checks.back().sequence == record.sequence) {
-    write->checks.back() = std::move(changed);
-  } else {
-    write->checks.push_back(std::move(changed));
-  }
-}
-
-EventRecord StoredChecks::EventOf(std::uint64_t sequence,
-                                  const StoredCheck& check,
-                                  std::size_t index) const {
-  EventRecord event;
-  event.time_ns = check.candidates[index].update_time_ns;
-  event.payload = policy_.codec->EncodeEvent(
-      {vehicle_->id, vehicle_->head.config().uid}, sequence, check, index);
-  return event;
-}
-
 EventRecord StoredChecks::Farewell() const {
   EventRecord event;
-  if (policy_.codec == nullptr) return event;
+  if (changes_.codec() == nullptr) return event;
   event.time_ns = vehicle_->clock();
-  event.payload = policy_.codec->EncodeFarewell(
+  event.payload = changes_.codec()->EncodeFarewell(
       {vehicle_->id, vehicle_->head.config().uid});
   return event;
-}
-
-std::uint32_t StoredChecks::OpenCount(const StoredCheck& check) {
-  return static_cast<std::uint32_t>(
-      std::count_if(check.candidates.begin(), check.candidates.end(),
-                    [](const StoredCandidate& candidate) {
-                      return candidate.state == CandidateState::kOpen;
-                    }));
 }
 
 }  // namespace revisit::server

@@ -27,9 +27,12 @@
 #include "absl/status/statusor.h"
 #include "core/drive/drive.h"
 #include "server/sessions/appends_in_flight.h"
+#include "server/sessions/check_basis.h"
+#include "server/sessions/check_changes.h"
 #include "server/sessions/check_codec.h"
 #include "server/sessions/check_monitor.h"
 #include "server/sessions/search_turns.h"
+#include "server/sessions/second_searches.h"
 #include "server/sessions/vehicle_queue.h"
 #include "server/sessions/vehicle_state.h"
 #include "server/storage/records.h"
@@ -53,6 +56,8 @@ struct StoredChecksPolicy {
   // longer.
   std::chrono::steady_clock::duration tidy_period = std::chrono::hours(1);
   std::uint64_t most_checks = kMostChecks;
+  // Second searches that a change allows (second_searches.h).
+  int searches_per_change = kSearchesPerChange;
 };
 
 // Belongs to the strand, but for what is said to be called from any thread.
@@ -63,7 +68,12 @@ class StoredChecks {
       : vehicle_(vehicle),
         queue_(queue),
         in_flight_(in_flight),
-        policy_(std::move(policy)) {}
+        policy_(std::move(policy)),
+        changes_(vehicle, policy_.codec),
+        basis_(vehicle),
+        second_(vehicle, queue, &changes_, &basis_,
+                {policy_.max_search_steps, policy_.searches_per_change,
+                 policy_.monitor}) {}
   ~StoredChecks() { NoteDebt(0); }
 
   StoredChecks(const StoredChecks&) = delete;
@@ -81,21 +91,25 @@ class StoredChecks {
   // way.
   void Settle(std::function<void()> then);
 
+  // Second searches (second_searches.h) that wait until more are allowed, and
+  // that: from any thread; on the strand.
+  bool has_second_searches() const { return second_.is_behind(); }
+  void AllowSecondSearches() { second_.AllowMore(); }
+
   // The checks that are owed. From any thread.
   std::int64_t debt() const { return debt_.load(); }
 
   // Whether a pair could concern a stored candidate at all.
-  bool HasCandidates() const {
-    return policy_.codec != nullptr && vehicle_->head.checks().last_event > 0;
-  }
+  bool HasCandidates() const { return changes_.HasCandidates(); }
   // The changes of stored candidates that a pair makes when it is added: it
   // decides on those open whose two places lie within kPlaceRadiusMeters of the
-  // pair's, along the path, and `named`, whatever it is. Nothing if there are
-  // none. NOT_FOUND (CHECK_NOT_FOUND) if `named` is not stored. Reads the
-  // store. REQUIRES: nothing else of the vehicle is written until the write
-  // that it answers is.
+  // pair's, along the path, and `named`, whatever it is. One that `is_there` is
+  // upheld: it decides on `named`, and on those that were opened again because
+  // others contradict it. Nothing if there are none. NOT_FOUND
+  // (CHECK_NOT_FOUND) if `named` is not stored. Reads the store. REQUIRES:
+  // nothing else of the vehicle is written until the write that it answers is.
   absl::StatusOr<std::optional<ChecksWrite>> WithPair(
-      PairKind kind, const PosePairRecord& pair,
+      PairKind kind, const PosePairRecord& pair, bool is_there,
       const std::optional<CandidateId>& named, const std::string& actor) const;
   // The same when a pair is deleted: those that it has decided are open again.
   absl::StatusOr<std::optional<ChecksWrite>> WithoutPair(
@@ -112,6 +126,7 @@ class StoredChecks {
   struct Made {
     std::uint64_t sequence = 0;
     std::uint64_t revision = 0;
+    CheckBasis::Version version;
     StoredCheck check;
   };
   // When a pose was acknowledged, or loaded, up to which checks were owed.
@@ -119,16 +134,6 @@ class StoredChecks {
     std::uint64_t sequence = 0;
     std::chrono::steady_clock::time_point time;
   };
-  // A change of a candidate.
-  struct Transition {
-    CandidateState state;
-    CandidateCause cause;
-    std::string actor;
-    std::int64_t time_ns = 0;
-    std::string decision;
-  };
-
-  bool IsAtWork() const;
   bool Stores() const;
   void NoteDebt(std::int64_t debt);
   void NoteLanded();
@@ -150,26 +155,16 @@ class StoredChecks {
   // Forgets what is stored.
   void DropStored();
   ChecksWrite MakeWrite();
-  // A pair that decides on a candidate that was just found.
-  void Decide(std::uint64_t sequence, StoredCandidate* candidate) const;
-  bool IsPair(const PosePairRecord& pair, std::uint64_t query,
-              std::uint64_t matched) const;
-  // The distance travelled up to the last node at or before a pose.
-  double TravelledAt(std::uint64_t sequence) const;
   // The stored checks of poses that lie near this one, along the path.
   absl::StatusOr<std::vector<CheckRecord>> ChecksNear(
       std::uint64_t sequence) const;
-  // Adds what a transition makes of a candidate.
-  void Change(const CheckRecord& record, StoredCheck* check, std::size_t index,
-              const Transition& transition, ChecksWrite* write) const;
-  EventRecord EventOf(std::uint64_t sequence, const StoredCheck& check,
-                      std::size_t index) const;
-  static std::uint32_t OpenCount(const StoredCheck& check);
-
   VehicleState* const vehicle_;
   VehicleQueue* const queue_;
   AppendsInFlight* const in_flight_;
   const StoredChecksPolicy policy_;
+  const CheckChanges changes_;
+  CheckBasis basis_;
+  SecondSearches second_;
 
   // The search that is under way.
   bool searching_ = false;

@@ -27,6 +27,8 @@ class VehicleHead {
   // See VehicleRecord.
   std::int64_t epoch() const { return epoch_; }
   const VehicleConfig& config() const { return config_; }
+  // Counts the configs that were taken on.
+  std::uint64_t config_version() const { return config_version_; }
   std::uint64_t durable_sequence() const { return durable_sequence_; }
   std::uint64_t revision() const { return revision_; }
   const Staged& staged() const { return staged_; }
@@ -66,7 +68,10 @@ class VehicleHead {
   // in flight.
   void Adopt(const VehicleConfig& config, std::uint64_t revision) {
     // The argument may be the config itself.
-    if (&config != &config_) config_ = config;
+    if (&config != &config_) {
+      config_ = config;
+      ++config_version_;
+    }
     revision_ = revision;
     staged_ = {config_, durable_sequence_, revision_};
   }
@@ -96,6 +101,7 @@ class VehicleHead {
   VehicleKey key_ = 0;
   std::int64_t epoch_ = 0;
   VehicleConfig config_;
+  std::uint64_t config_version_ = 0;
   std::uint64_t durable_sequence_ = 0;
   std::uint64_t revision_ = 0;
   ChecksHead checks_;

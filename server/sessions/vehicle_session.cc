@@ -78,6 +78,16 @@ struct VehicleSession::State {
                         next.flow});
   }
 
+  // A callback of a change that stored checks may depend on.
+  template <typename Answer>
+  std::function<void(Answer)> Considering(
+      std::function<void(Answer)> callback) {
+    return [this, callback = std::move(callback)](Answer answer) {
+      callback(std::move(answer));
+      checks.Consider();
+    };
+  }
+
   // Runs `end` after what was called before, once the store knows whether
   // checks are owed, and no part of a snapshot is being written.
   template <typename End>
@@ -99,6 +109,13 @@ struct VehicleSession::State {
                     queue.Hold();
                     snapshots.Stop(until, [this, end] { queue.Release(end); });
                   }});
+  }
+
+  // Begins what a vehicle that was loaded does by itself, once.
+  void BeginWork() {
+    checks.Consider();
+    if (is_loaded.exchange(true)) return;
+    dropper.ConsiderLoaded();
   }
 
   VehicleState vehicle;
@@ -128,10 +145,7 @@ std::shared_ptr<VehicleSession> VehicleSession::Load(
   state->queue.PostLong([state = state.get()] { state->replayer.Load(); });
   state->queue.Submit(
       {Turn::kRead, [state = state.get()](const absl::Status& status) {
-         if (!status.ok()) return;
-         state->checks.Consider();
-         state->is_loaded.store(true);
-         state->dropper.ConsiderLoaded();
+         if (status.ok()) state->BeginWork();
        }});
   return std::shared_ptr<VehicleSession>(new VehicleSession(std::move(state)));
 }
@@ -224,7 +238,7 @@ void VehicleSession::AcceptDataLoss(std::uint64_t durable_sequence,
 }
 
 void VehicleSession::Revise(RevisionPlanner plan, RevisionCallback callback) {
-  state_->SubmitAlone(std::move(callback),
+  state_->SubmitAlone(state_->Considering(std::move(callback)),
                       [state = state_.get(),
                        plan = std::move(plan)](const RevisionCallback& answer) {
                         state->changes.Revise(plan, answer);
@@ -234,7 +248,7 @@ void VehicleSession::Revise(RevisionPlanner plan, RevisionCallback callback) {
 void VehicleSession::AddPosePair(PairKind kind, PosePairRecord pair,
                                  PairAnswer answers, PairCallback callback) {
   state_->SubmitAlone(
-      std::move(callback),
+      state_->Considering(std::move(callback)),
       [state = state_.get(), kind, pair = std::move(pair),
        answers = std::move(answers)](const PairCallback& answer) {
         state->changes.AddPosePair(kind, pair, answers, answer);
@@ -243,9 +257,20 @@ void VehicleSession::AddPosePair(PairKind kind, PosePairRecord pair,
 
 void VehicleSession::PayChecks() {
   state_->queue.Submit(
-      {Turn::kRead, [checks = &state_->checks](const absl::Status& status) {
-         if (status.ok()) checks->Consider();
+      {Turn::kRead, [state = state_.get()](const absl::Status& status) {
+         if (status.ok()) state->BeginWork();
        }});
+}
+
+void VehicleSession::SearchAgain() {
+  state_->queue.Submit(
+      {Turn::kRead, [checks = &state_->checks](const absl::Status& status) {
+         if (status.ok()) checks->AllowSecondSearches();
+       }});
+}
+
+bool VehicleSession::has_second_searches() const {
+  return state_->checks.has_second_searches();
 }
 
 bool VehicleSession::has_unsettled_checks() const {
@@ -271,7 +296,7 @@ std::int64_t VehicleSession::check_debt() const {
 void VehicleSession::DeletePosePair(
     PairKind kind, std::string id, PairDeletion deletion,
     std::function<void(absl::StatusOr<std::uint64_t>)> callback) {
-  state_->SubmitAlone(std::move(callback),
+  state_->SubmitAlone(state_->Considering(std::move(callback)),
                       [state = state_.get(), kind, id = std::move(id),
                        deletion = std::move(deletion)](const auto& answer) {
                         state->changes.DeletePosePair(kind, id, deletion,

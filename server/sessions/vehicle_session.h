@@ -147,8 +147,11 @@ class VehicleSession {
       std::function<void(absl::StatusOr<std::uint64_t>)> callback);
 
   // Goes on with the checks that the vehicle owes, also where a write of them
-  // failed.
+  // failed, or the vehicle was loaded while nothing could be answered.
   void PayChecks();
+  // Allows more second searches; whether some wait for that.
+  void SearchAgain();
+  bool has_second_searches() const;
   // Whether the store does not know yet that no check is owed.
   bool has_unsettled_checks() const;
   // Tells it, then calls `then`.

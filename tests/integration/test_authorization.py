@@ -36,6 +36,8 @@ def request_about(method, vehicle):
         "ExportPoseGraph": lambda: api.ExportPoseGraphRequest(
             vehicle=vehicle),
         "FindCandidates": lambda: api.FindCandidatesRequest(vehicle=vehicle),
+        "FindContradictions": lambda: api.FindContradictionsRequest(
+            vehicle=vehicle),
         "GetCheck": lambda: api.GetCheckRequest(name=vehicle + "/checks/1"),
         "GetServerInfo": lambda: api.GetServerInfoRequest(),
         "GetVehicle": lambda: api.GetVehicleRequest(name=vehicle),
@@ -126,10 +128,9 @@ def test_vehicles_of_others_are_as_if_they_were_not_there(called_by, method):
 @pytest.mark.parametrize("method", sorted(set(METHODS) - ABOUT_NONE))
 def test_verbs_are_checked_whether_the_vehicle_is_there_or_not(
         called_by, method):
-    reads = {"ExportPoseGraph", "FindCandidates", "GetCheck", "GetVehicle",
-             "ListChecks", "ListDeletedPosePairs", "ListLoopClosures",
-             "ListPoses",
-             "ListRecordings",
+    reads = {"ExportPoseGraph", "FindCandidates", "FindContradictions",
+             "GetCheck", "GetVehicle", "ListChecks", "ListDeletedPosePairs",
+             "ListLoopClosures", "ListPoses", "ListRecordings",
              "ListRejectedCandidates"}
     admin = {"AcceptDataLoss", "DeleteVehicle"}
     needed = ("read" if method in reads else

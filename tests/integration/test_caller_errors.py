@@ -59,6 +59,9 @@ CALLS = {
         stub, name).receive()),
     "FindCandidates": ("vehicle", lambda stub, name: stub.FindCandidates(
         api.FindCandidatesRequest(vehicle=name))),
+    "FindContradictions": ("vehicle", lambda stub, name:
+                           stub.FindContradictions(
+                               api.FindContradictionsRequest(vehicle=name))),
     "AddLoopClosure": ("parent", lambda stub, name: LOOP_CLOSURES.add(
         stub, name, 2, 1)),
     "ListLoopClosures": ("parent", lambda stub, name: LOOP_CLOSURES.page(

@@ -236,6 +236,7 @@ REQUESTS = {
     "AddLoopClosure": '{"parent": "vehicles/ID", "loop_closure_id": "one",'
                       f' "loop_closure": {PAIR}}}',
     "ListLoopClosures": '{"parent": "vehicles/ID"}',
+    "FindContradictions": '{"vehicle": "vehicles/ID"}',
     "DeleteLoopClosure": '{"name": "vehicles/ID/loopClosures/one"}',
     "RejectCandidate": '{"parent": "vehicles/ID", "rejected_candidate_id": "one",'
                        f' "rejected_candidate": {PAIR}}}',

@@ -16,6 +16,7 @@ from watching import Watcher, expect_each_check_once, list_checks
 from wire import (LOOP_CLOSURES, REJECTED_CANDIDATES, append, boreas, failure_of,
                   get, laps)
 
+BY_VALUE = api.LIST_CHECKS_ORDER_BY_VALUE
 STORING = {"checks": api.STORED_CHECKS_STORED}
 # Short, so that many checks are due.
 SHORT = {"sequence_length_meters": 20.0, "check_interval_meters": 10.0,
@@ -44,6 +45,14 @@ def take(call, count):
             if len(events) == count:
                 return events
     raise AssertionError(f"the watch ended after {len(events)} events")
+
+
+def take_decided(call):
+    """The next event that is not of a second search."""
+    while True:
+        event = take(call, 1)[0].candidate
+        if event.candidate.cause != api.CANDIDATE_CAUSE_SEARCH:
+            return event
 
 
 @pytest.fixture
@@ -146,7 +155,7 @@ def test_a_decision_changes_the_candidates_at_its_places_until_it_is_deleted(
     added, _ = kind.add(stub, lap, best.query.sequence, best.matched.sequence)
     told = []
     while check.states[0].name not in [event.candidate.name for event in told]:
-        told.append(take(call, 1)[0].candidate)
+        told.append(take_decided(call))
     state = (api.CANDIDATE_STATE_CONFIRMED if kind is LOOP_CLOSURES
              else api.CANDIDATE_STATE_REJECTED)
     assert {event.candidate.state for event in told} == {state}
@@ -162,7 +171,7 @@ def test_a_decision_changes_the_candidates_at_its_places_until_it_is_deleted(
         assert (check.name in names) == expected or len(stored.states) > 1
     before = {event.candidate.name for event in told}
     kind.delete(stub, added.name)
-    again = [take(call, 1)[0].candidate for _ in before]
+    again = [take_decided(call) for _ in before]
     call.cancel()
     assert {event.candidate.name for event in again} == before
     assert {(event.candidate.state, event.candidate.cause) for event in again} == {
@@ -181,6 +190,15 @@ def test_a_verifier_names_the_candidate_that_it_answers(stub, lap):
     assert stored.states[0].event_number > check.states[0].event_number
     # The same again, as after a lost answer.
     assert stub.AddLoopClosure(request).loop_closure == closure
+    assert stub.GetCheck(api.GetCheckRequest(name=check.name)).check == stored
+    # It may answer another one as well.
+    other = next(check for check in reversed(list_checks(stub, lap)[0])
+                 if check.states[0].state == api.CANDIDATE_STATE_OPEN)
+    request.candidate = other.states[0].name
+    assert stub.AddLoopClosure(request).loop_closure == closure
+    stored = stub.GetCheck(api.GetCheckRequest(name=other.name)).check
+    assert (stored.states[0].state, stored.states[0].decision) == (
+        api.CANDIDATE_STATE_CONFIRMED, closure.name)
 
 
 @pytest.mark.parametrize("candidate, code, reason", [
@@ -218,6 +236,19 @@ def test_what_a_caller_gets_wrong_is_said(stub, lap):
             (lambda: stub.ListChecks(api.ListChecksRequest(
                 parent=lap, filter=api.CandidateFilter(states=[0]))),
              "filter.states[0]"),
+            (lambda: stub.ListChecks(api.ListChecksRequest(
+                parent=lap, filter=api.CandidateFilter(
+                    least_value_square_meters=-1))),
+             "filter.least_value_square_meters"),
+            (lambda: stub.ListChecks(api.ListChecksRequest(
+                parent="vehicles/-", order=BY_VALUE)), "order"),
+            (lambda: stub.ListChecks(api.ListChecksRequest(
+                parent=lap, order=9)), "order"),
+            (lambda: stub.ListChecks(api.ListChecksRequest(
+                parent=lap, looks_per_kilometer=3)), "looks_per_kilometer"),
+            (lambda: stub.ListChecks(api.ListChecksRequest(
+                parent=lap, order=BY_VALUE, looks_per_kilometer=1001)),
+             "looks_per_kilometer"),
             (lambda: stub.ListChecks(api.ListChecksRequest(
                 parent=lap, page_token="no")), "page_token"),
             (lambda: next(watch(stub, "no")), "cursor"),

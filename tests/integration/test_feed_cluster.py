@@ -13,7 +13,9 @@ import grpc
 from own_postgres import own_shared_store
 from revisit_server import START_SECONDS, Server, free_port, wait_until
 from stubs import PoseGraphServiceStub, api
-from watching import Watcher, expect_each_check_once, list_checks
+from watching import (Watcher, change_pairs, expect_each_check_once,
+                      expect_states_follow, is_fresh, list_checks,
+                      wait_until_as_searched_now)
 from wire import boreas, decode_failure
 
 SERVERS = 3
@@ -72,6 +74,74 @@ def vehicle_of(cluster, rng, name):
         api.GetVehicleRequest(name=name), timeout=10)).vehicle
 
 
+def create_storing(cluster, rng, name):
+    settings = api.VehicleSettings(checks=api.STORED_CHECKS_STORED)
+    served(cluster, rng, lambda stub: stub.CreateVehicle(
+        api.CreateVehicleRequest(vehicle_id=name.split("/")[1],
+                                 vehicle=api.Vehicle(settings=settings)),
+        timeout=10))
+
+
+def append_up_to(cluster, rng, name, poses):
+    """Appends what is missing of these poses, at any server, so that vehicles move."""
+    while (durable := vehicle_of(cluster, rng, name).durable_sequence) < len(poses):
+        served(cluster, rng, lambda stub: stub.AppendPoses(
+            api.AppendPosesRequest(vehicle=name,
+                                   poses=poses[durable:durable + 1000]),
+            timeout=10))
+
+
+def test_second_searches_end_as_searches_find_them_whatever_servers_are_killed(
+        tmp_path, request, seed):
+    kills = max(6, request.config.getoption("--kills") // 8)
+    rng = random.Random(seed)
+    poses, _ = boreas()
+    names = VEHICLES[:2]
+    with own_shared_store() as database, contextlib.ExitStack() as stack:
+        cluster = Cluster(database.url("revisit"), tmp_path)
+        stack.callback(cluster.close)
+        for name in names:
+            create_storing(cluster, rng, name)
+        watcher = Watcher(cluster.addresses, seed)
+        assert watcher.begun.wait(30)
+        pairs = {name: [] for name in names}
+        for kill in range(kills):
+            for name in names:
+                append_up_to(cluster, rng, name,
+                             poses[:len(poses) * (kill + 1) // kills])
+                # An answer that is lost leaves a pair that is not known here.
+                served(cluster, rng, lambda stub, name=name: change_pairs(
+                    stub, name, rng, pairs[name]))
+            time.sleep(rng.choice([0.0, rng.uniform(0.0, 0.3)]))
+            number = rng.randrange(SERVERS)
+            cluster.kill(number)
+            cluster.start(number)
+        for name in names:
+            append_up_to(cluster, rng, name, poses)
+
+            def is_settled(name=name):
+                return (vehicle_of(cluster, rng, name).check_debt == 0 and
+                        served(cluster, rng, lambda stub: is_fresh(stub, name)))
+
+            wait_until(is_settled, f"checks of {name}", seconds=2 * START_SECONDS)
+            again = served(cluster, rng, lambda stub, name=name:
+                           wait_until_as_searched_now(stub, name))
+            uid = vehicle_of(cluster, rng, name).uid
+            last = max(state.event_number for check in served(
+                cluster, rng, lambda stub, name=name: list_checks(stub, name))[0]
+                for state in check.states)
+            wait_until(lambda uid=uid, last=last: watcher.failure or
+                       len(watcher.told[uid]) >= last, "all events",
+                       seconds=2 * START_SECONDS)
+            assert watcher.failure is None, watcher.failure
+            served(cluster, rng, lambda stub, name=name, uid=uid:
+                   expect_states_follow(stub, name, watcher.told[uid]))
+            assert again > 0
+            print(f"{name}: {again} checks searched again, {len(pairs[name])} "
+                  f"pairs, {last} events")
+        watcher.stop()
+
+
 def test_checks_are_told_once_whatever_servers_are_killed(tmp_path, request, seed):
     kills = max(6, request.config.getoption("--kills") // 8)
     rng = random.Random(seed)
@@ -79,12 +149,8 @@ def test_checks_are_told_once_whatever_servers_are_killed(tmp_path, request, see
     with own_shared_store() as database, contextlib.ExitStack() as stack:
         cluster = Cluster(database.url("revisit"), tmp_path)
         stack.callback(cluster.close)
-        settings = api.VehicleSettings(checks=api.STORED_CHECKS_STORED)
         for name in VEHICLES:
-            served(cluster, rng, lambda stub, name=name: stub.CreateVehicle(
-                api.CreateVehicleRequest(vehicle_id=name.split("/")[1],
-                                         vehicle=api.Vehicle(settings=settings)),
-                timeout=10))
+            create_storing(cluster, rng, name)
         watchers = [Watcher(cluster.addresses, seed + n) for n in range(3)]
         for watcher in watchers:
             assert watcher.begun.wait(30)
@@ -106,12 +172,7 @@ def test_checks_are_told_once_whatever_servers_are_killed(tmp_path, request, see
                 database.start()
             cluster.start(number)
         for name in VEHICLES:
-            while (durable := vehicle_of(cluster, rng, name).durable_sequence) \
-                    < len(poses):
-                served(cluster, rng, lambda stub, name=name, durable=durable:
-                       stub.AppendPoses(api.AppendPosesRequest(
-                           vehicle=name, poses=poses[durable:durable + 1000]),
-                                        timeout=10))
+            append_up_to(cluster, rng, name, poses)
             wait_until(lambda name=name: vehicle_of(
                 cluster, rng, name).check_debt == 0, f"checks of {name}",
                 seconds=2 * START_SECONDS)
@@ -145,9 +206,7 @@ def test_a_cursor_of_a_database_that_lost_its_last_events_is_refused(tmp_path, s
     with own_shared_store() as database, contextlib.ExitStack() as stack:
         cluster = Cluster(database.url("revisit"), tmp_path)
         stack.callback(cluster.close)
-        served(cluster, rng, lambda stub: stub.CreateVehicle(api.CreateVehicleRequest(
-            vehicle_id="a", vehicle=api.Vehicle(settings=api.VehicleSettings(
-                checks=api.STORED_CHECKS_STORED))), timeout=10))
+        create_storing(cluster, rng, name)
 
         def append_to(count):
             while (durable := vehicle_of(cluster, rng, name).durable_sequence) < count:

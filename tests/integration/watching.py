@@ -3,10 +3,12 @@
 import collections
 import random
 import threading
+import time
 
 import grpc
 
 from stubs import PoseGraphServiceStub, api
+from wire import LOOP_CLOSURES, REJECTED_CANDIDATES, get
 
 
 class Watcher:
@@ -110,6 +112,85 @@ def without_times(found):
         copy.ClearField("search_duration")
         copy.ClearField("revision")
     return copy
+
+
+def is_fresh(stub, parent="vehicles/-"):
+    """Whether no check waits to be searched again, as far as the rows say."""
+    return not any(check.stale for check in list_checks(stub, parent)[0])
+
+
+def expect_states_follow(stub, vehicle, told):
+    """The rows say what the events have told, the last one of each candidate."""
+    last = {event.candidate.name: event.candidate for event in told}
+    stored = {state.name: state for check in list_checks(stub, vehicle)[0]
+              for state in check.states}
+    assert {name: (one.state, one.cause, one.decision, one.event_number)
+            for name, one in last.items()} == {
+        name: (one.state, one.cause, one.decision, one.event_number)
+        for name, one in stored.items()}
+
+
+def change_pairs(stub, vehicle, rng, pairs):
+    """Adds a loop closure or a rejected candidate where a check has found something,
+    or deletes one of `pairs`, which holds what was added."""
+    kind = rng.choice([LOOP_CLOSURES, LOOP_CLOSURES, REJECTED_CANDIDATES])
+    if pairs and rng.random() < 0.3:
+        old_kind, name = pairs.pop(rng.randrange(len(pairs)))
+        old_kind.delete(stub, name)
+        return
+    undecided = [(check, state) for check in list_checks(stub, vehicle)[0]
+                 for state in check.states
+                 if state.state == api.CANDIDATE_STATE_OPEN]
+    if not undecided:
+        return
+    check, state = rng.choice(undecided)
+    found = check.latest if state.latest_rank else check.candidates
+    candidate = next(one for one in found.candidates
+                     if one.rank == (state.latest_rank or state.rank))
+    added, _ = kind.add(stub, vehicle, candidate.query.sequence,
+                        candidate.matched.sequence)
+    pairs.append((kind, added.name))
+
+
+UNDECIDED = (api.CANDIDATE_STATE_OPEN, api.CANDIDATE_STATE_WITHDRAWN)
+
+
+def wait_until_as_searched_now(stub, vehicle, seconds=30):
+    """Each check on which something is undecided comes to hold what a search at its
+    pose finds now, and its open candidates to be among that. Returns how many were
+    searched again."""
+    deadline = time.monotonic() + seconds
+    while True:
+        try:
+            return expect_as_searched_now(stub, vehicle)
+        except AssertionError:
+            # What became stale last may not have been looked at yet.
+            if time.monotonic() > deadline:
+                raise
+        time.sleep(0.2)
+
+
+def expect_as_searched_now(stub, vehicle):
+    keep = get(stub, vehicle).settings.keep_probability
+    again = 0
+    for check in list_checks(stub, vehicle)[0]:
+        undecided = [state for state in check.states
+                     if state.state in UNDECIDED]
+        if not undecided:
+            continue
+        last = (check.latest if check.HasField("latest") else check.candidates)
+        again += check.HasField("latest")
+        found = stub.FindCandidates(api.FindCandidatesRequest(
+            vehicle=vehicle, sequence=last.query.sequence + (
+                last.query.fraction > 0))).candidates
+        assert without_times(last) == without_times(found), check.name
+        ranks = {candidate.rank: candidate for candidate in found.candidates}
+        for state in undecided:
+            if state.state == api.CANDIDATE_STATE_OPEN:
+                rank = (state.latest_rank if check.HasField("latest")
+                        else state.rank)
+                assert ranks[rank].probability >= keep, state.name
+    return again
 
 
 def due_checks(stub, vehicle, settings):

@@ -66,6 +66,12 @@ class HeldStorage : public Storage {
     write.answer(status);
   }
 
+  // Answers the next write of checks with this, written or not.
+  void FailNextChecks(const absl::Status& status, bool is_written) {
+    const std::lock_guard<std::mutex> guard(mutex_);
+    fate_ = Fate{status, is_written};
+  }
+
   // If not OK, reads answer this.
   void FailReads(const absl::Status& status) {
     const std::lock_guard<std::mutex> guard(mutex_);
@@ -130,6 +136,13 @@ class HeldStorage : public Storage {
     });
   }
   void PutChecks(VehicleKey key, ChecksWrite checks, Done done) override {
+    if (const auto fate = TakeFate()) {
+      if (fate->is_written) {
+        storage_->PutChecks(key, checks, [](const absl::Status&) {});
+      }
+      done(fate->answer);
+      return;
+    }
     Submit(std::move(done), [=](Done then) {
       storage_->PutChecks(key, checks, std::move(then));
     });
@@ -259,6 +272,16 @@ class HeldStorage : public Storage {
   }
 
  private:
+  struct Fate {
+    absl::Status answer;
+    bool is_written = false;
+  };
+
+  std::optional<Fate> TakeFate() {
+    const std::lock_guard<std::mutex> guard(mutex_);
+    return std::exchange(fate_, std::nullopt);
+  }
+
   struct Write {
     std::function<void()> pass_on;
     std::function<void()> pass_on_silently;
@@ -301,6 +324,7 @@ class HeldStorage : public Storage {
   bool hold_ = false;
   std::deque<Write> held_;
   absl::Status read_status_;
+  std::optional<Fate> fate_;
 };
 
 }  // namespace revisit::server

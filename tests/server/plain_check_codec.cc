@@ -1,5 +1,6 @@
 #include "tests/server/plain_check_codec.h"
 
+#include <cstdlib>
 #include <sstream>
 
 #include "server/base/status.h"
@@ -26,13 +27,18 @@ std::string PlainCheckCodec::EncodeFound(const VehicleView&,
 
 std::string PlainCheckCodec::EncodeCheck(const StoredCheck& check) const {
   std::ostringstream text;
-  text << check.found << "\n";
+  text << check.found << "\n"
+       << check.latest << "\n"
+       << check.basis << " " << check.stale << "\n"
+       << std::hexfloat;
   for (const StoredCandidate& candidate : check.candidates) {
     text << candidate.number << " " << candidate.rank << " "
          << candidate.matched_sequence << " "
          << static_cast<int>(candidate.state) << " "
          << static_cast<int>(candidate.cause) << " " << candidate.update_time_ns
-         << " '" << candidate.actor << "' '" << candidate.decision << "'\n";
+         << " " << candidate.latest_rank << " " << candidate.probability << " "
+         << candidate.value << " '" << candidate.actor << "' '"
+         << candidate.decision << "' '" << candidate.contradicted << "'\n";
   }
   return text.str();
 }
@@ -42,6 +48,9 @@ absl::StatusOr<StoredCheck> PlainCheckCodec::DecodeCheck(
   std::istringstream text(payload);
   StoredCheck check;
   std::getline(text, check.found);
+  std::getline(text, check.latest);
+  text >> check.basis >> check.stale;
+  text.ignore();
   const auto unquoted = [](const std::string& word) {
     return word.size() < 2 ? word : word.substr(1, word.size() - 2);
   };
@@ -49,9 +58,14 @@ absl::StatusOr<StoredCheck> PlainCheckCodec::DecodeCheck(
     StoredCandidate& candidate = check.candidates.emplace_back();
     int state = 0;
     int cause = 0;
+    // Streams write what they do not read.
+    std::string probability;
+    std::string value;
     if (!(text >> candidate.number >> candidate.rank >>
           candidate.matched_sequence >> state >> cause >>
-          candidate.update_time_ns >> candidate.actor >> candidate.decision)) {
+          candidate.update_time_ns >> candidate.latest_rank >> probability >>
+          value >> candidate.actor >> candidate.decision >>
+          candidate.contradicted)) {
       return Corrupt("no check");
     }
     text.ignore();
@@ -59,6 +73,9 @@ absl::StatusOr<StoredCheck> PlainCheckCodec::DecodeCheck(
     candidate.cause = static_cast<CandidateCause>(cause);
     candidate.actor = unquoted(candidate.actor);
     candidate.decision = unquoted(candidate.decision);
+    candidate.contradicted = unquoted(candidate.contradicted);
+    candidate.probability = std::strtod(probability.c_str(), nullptr);
+    candidate.value = std::strtod(value.c_str(), nullptr);
   }
   return check;
 }
@@ -73,7 +90,7 @@ std::string PlainCheckCodec::EncodeEvent(const EventOrigin& origin,
        << " " << kStates[static_cast<int>(candidate.state)];
   if (!candidate.decision.empty()) line << " by " << candidate.decision;
   if (!candidate.actor.empty()) line << ", said " << candidate.actor;
-  line << ": " << check.found;
+  line << ": " << (candidate.latest_rank > 0 ? check.latest : check.found);
   return line.str();
 }
 

@@ -397,11 +397,45 @@ StoredCheck GoldenCheck() {
   StoredCheck check;
   check.vehicle_uid = "uid";
   check.found = "found";
-  check.candidates.push_back({1, 2, 3, CandidateState::kConfirmed,
-                              CandidateCause::kLoopClosure, "token:bob",
-                              -1234567890123456789, "link", 4});
-  check.candidates.push_back({2, 3, 4, CandidateState::kWithdrawn,
-                              CandidateCause::kRetention, "", 5, "", 6});
+  StoredCandidate& confirmed = check.candidates.emplace_back();
+  confirmed.number = 1;
+  confirmed.rank = 2;
+  confirmed.matched_sequence = 3;
+  confirmed.state = CandidateState::kConfirmed;
+  confirmed.cause = CandidateCause::kLoopClosure;
+  confirmed.actor = "token:bob";
+  confirmed.update_time_ns = -1234567890123456789;
+  confirmed.decision = "link";
+  confirmed.event_number = 4;
+  StoredCandidate& withdrawn = check.candidates.emplace_back();
+  withdrawn.number = 2;
+  withdrawn.rank = 3;
+  withdrawn.matched_sequence = 4;
+  withdrawn.state = CandidateState::kWithdrawn;
+  withdrawn.cause = CandidateCause::kRetention;
+  withdrawn.update_time_ns = 5;
+  withdrawn.event_number = 6;
+  return check;
+}
+
+// A check that was searched again, which has what others have not.
+StoredCheck GoldenSecondCheck() {
+  StoredCheck check;
+  check.vehicle_uid = "uid";
+  check.found = "found";
+  check.latest = "latest";
+  check.basis = 0x1122334455667788;
+  check.stale = true;
+  StoredCandidate& late = check.candidates.emplace_back();
+  late.number = 1;
+  late.latest_rank = 2;
+  late.matched_sequence = 3;
+  late.cause = CandidateCause::kContradiction;
+  late.update_time_ns = 5;
+  late.event_number = 6;
+  late.probability = 0.75;
+  late.value = 2.5;
+  late.contradicted = "link";
   return check;
 }
 
@@ -409,6 +443,10 @@ constexpr char kGoldenCheck[] =
     "0a05666f756e641230080110021803200228023209746f6b656e3a626f623a11"
     "08adfaa7b3fbffffffff0110ebf9fba10342046c696e6b480412100802100318"
     "04200428053a02100548061a03756964";
+constexpr char kGoldenSecondCheck[] =
+    "0a05666f756e64122808011803200128073a0210054806500259000000000000"
+    "e83f6100000000000004406a046c696e6b1a0375696422066c61746573742988"
+    "776655443322113001";
 constexpr char kGoldenEvent[] =
     "0a05747275636b12037569641a4008071230080110021803200228023209746f"
     "6b656e3a626f623a1108adfaa7b3fbffffffff0110ebf9fba10342046c696e6b"
@@ -417,11 +455,34 @@ constexpr char kGoldenFarewell[] = "0a05747275636b12037569642200";
 
 TEST(GoldenRecordTest, ChecksAndEventsAreWrittenAsEver) {
   EXPECT_EQ(Hex(EncodeCheckRecord(GoldenCheck())), kGoldenCheck);
+  EXPECT_EQ(Hex(EncodeCheckRecord(GoldenSecondCheck())), kGoldenSecondCheck);
   StoredEvent event{"truck", "uid", GoldenCheck().candidates[0],
                     7,       8,     "evidence"};
   EXPECT_EQ(Hex(EncodeEventRecord(event)), kGoldenEvent);
   event.candidate.reset();
   EXPECT_EQ(Hex(EncodeEventRecord(event)), kGoldenFarewell);
+}
+
+TEST(GoldenRecordTest, ChecksThatWereSearchedAgainAreReadAsEver) {
+  const auto check = DecodeCheckRecord(Bytes(kGoldenSecondCheck));
+  ASSERT_THAT(check, IsOk());
+  EXPECT_EQ(check->latest, "latest");
+  EXPECT_EQ(check->basis, 0x1122334455667788u);
+  EXPECT_TRUE(check->stale);
+  ASSERT_EQ(check->candidates.size(), 1u);
+  const StoredCandidate& candidate = check->candidates[0];
+  EXPECT_EQ(candidate.rank, 0);
+  EXPECT_EQ(candidate.latest_rank, 2);
+  EXPECT_EQ(candidate.cause, CandidateCause::kContradiction);
+  EXPECT_EQ(candidate.probability, 0.75);
+  EXPECT_EQ(candidate.value, 2.5);
+  EXPECT_EQ(candidate.contradicted, "link");
+  // One from before there were second searches.
+  const auto first = DecodeCheckRecord(Bytes(kGoldenCheck));
+  ASSERT_THAT(first, IsOk());
+  EXPECT_EQ(first->latest, "");
+  EXPECT_EQ(first->basis, 0u);
+  EXPECT_FALSE(first->stale);
 }
 
 TEST(GoldenRecordTest, ChecksAndEventsAreReadAsEver) {

@@ -1,0 +1,407 @@
+#include "server/sessions/second_searches.h"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "core/drive/drive.h"
+#include "core/drive/dropped_stretch.h"
+#include "core/drive/pose_graph.h"
+#include "server/sessions/contradicted_closures.h"
+#include "server/storage/storage.h"
+
+namespace revisit::server {
+namespace {
+
+// Second searches are one flow beside those of all callers, whichever vehicle
+// they are of.
+constexpr char kFlow[] = "second searches";
+// As in the first search: how often a turn gives way to other work.
+constexpr int kMostGivenWay = 3;
+// Rows of one page of a look, some milliseconds.
+constexpr int kChecksPerLook = 100;
+constexpr std::chrono::milliseconds kJudgingSlice{10};
+// Fewer closures than these say nothing about each other.
+constexpr std::size_t kLeastClosures = 3;
+// Changes of values below this part are not worth a write.
+constexpr double kValueStep = 0.01;
+
+bool IsUndecided(CandidateState state) {
+  return state == CandidateState::kOpen || state == CandidateState::kWithdrawn;
+}
+
+}  // namespace
+
+void SecondSearches::NoteStale(std::size_t count) {
+  if (policy_.monitor != nullptr && count != stale_) {
+    policy_.monitor->Stale(static_cast<std::int64_t>(count) -
+                           static_cast<std::int64_t>(stale_));
+  }
+  stale_ = count;
+  is_behind_.store(count > 0 || (seen_ && looked_ != seen_) || MustJudge());
+}
+
+bool SecondSearches::MustJudge() const {
+  return changes_->MayWork() && changes_->HasCandidates() &&
+         judged_ != vehicle_->pairs.version() &&
+         vehicle_->pairs.loop_closures().size() >= kLeastClosures;
+}
+
+void SecondSearches::Allow() {
+  allowed_ = std::min(allowed_ + policy_.searches_per_change,
+                      kMostChangesAllowed * policy_.searches_per_change);
+}
+
+void SecondSearches::AllowMore() {
+  Allow();
+  may_judge_ = true;
+  Consider();
+}
+
+void SecondSearches::Consider() {
+  if (!changes_->MayWork() || !changes_->HasCandidates()) return;
+  const CheckBasis::Version now = basis_->version();
+  if (seen_ != now) {
+    seen_ = now;
+    Allow();
+    NoteStale(stale_);
+  }
+  if (is_at_work_) return;
+  if (looked_ != now || looks_again_ || (may_judge_ && MustJudge())) {
+    Look();
+  } else if (!waiting_.empty() && allowed_ > 0) {
+    Search();
+  }
+}
+
+void SecondSearches::GiveUp() {
+  is_at_work_ = false;
+  if (judging_) judged_.reset();
+  judging_.reset();
+  waiting_.clear();
+  looked_.reset();
+  NoteStale(0);
+}
+
+// ---- The look
+
+void SecondSearches::Look() {
+  is_at_work_ = true;
+  looks_again_ = false;
+  looks_at_ = basis_->version();
+  look_from_ = 1;
+  waiting_.clear();
+  if (may_judge_ && MustJudge()) {
+    may_judge_ = false;
+    judged_ = vehicle_->pairs.version();
+    judging_.emplace(*vehicle_->loaded);
+    queue_->PostLong([this] { JudgeClosures(); });
+    return;
+  }
+  LookAtNextPage();
+}
+
+void SecondSearches::LookAtNextPage() {
+  RunStep([this] { return LookAtPage(); },
+          [this](bool ok) {
+            if (!ok) return;
+            if (look_from_ != 0) {
+              LookAtNextPage();
+            } else {
+              EndLook();
+            }
+          });
+}
+
+void SecondSearches::JudgeClosures() {
+  if (!changes_->MayWork()) {
+    GiveUp();
+    return;
+  }
+  // It has all it needs of the closures that there were when it began.
+  const Clock::time_point end = Clock::now() + kJudgingSlice;
+  if (!judging_->Run([end] { return Clock::now() >= end; })) {
+    queue_->PostLong([this] { JudgeClosures(); });
+    return;
+  }
+  contradicted_.clear();
+  for (const auto& [id, p_value] :
+       NameSuspects(vehicle_->pairs.loop_closures(), judging_->suspects())) {
+    contradicted_.insert(id);
+  }
+  judging_.reset();
+  LookAtNextPage();
+}
+
+void SecondSearches::RunStep(std::function<absl::StatusOr<ChecksWrite>()> step,
+                             std::function<void(bool)> then) {
+  queue_->PushBack(
+      {Turn::kAlone, [this, step = std::move(step),
+                      then = std::move(then)](const absl::Status& status) {
+         if (!status.ok() || !changes_->MayWork()) {
+           GiveUp();
+           then(false);
+           return;
+         }
+         queue_->Hold();
+         queue_->PostLong([this, step, then] {
+           absl::StatusOr<ChecksWrite> write = step();
+           if (!write.ok()) {
+             GiveUp();
+             queue_->Release([&] { then(false); });
+             return;
+           }
+           if (write->checks.empty() && write->events.empty()) {
+             queue_->Release([&] { then(true); });
+             return;
+           }
+           const ChecksHead after = write->after;
+           vehicle_->storage->PutChecks(
+               vehicle_->head.key(), *std::move(write),
+               queue_->OnStrand([this, after, then](const absl::Status& put) {
+                 if (put.ok()) {
+                   vehicle_->head.set_checks(after);
+                 } else {
+                   vehicle_->NoteFailedWrite(put);
+                   GiveUp();
+                 }
+                 queue_->Release([&] { then(put.ok()); });
+               }));
+         });
+       }});
+  queue_->PumpLater();
+}
+
+absl::StatusOr<ChecksWrite> SecondSearches::LookAtPage() {
+  ChecksWrite write = changes_->Begin();
+  if (basis_->version() != looks_at_) {
+    // From the beginning, at what there is now.
+    looks_at_ = basis_->version();
+    look_from_ = 1;
+    waiting_.clear();
+  }
+  const auto page = vehicle_->storage->ListChecks(
+      vehicle_->head.key(), look_from_, kLastSequence, false, kChecksPerLook);
+  if (!page.ok()) return page.status();
+  look_from_ = static_cast<int>(page->size()) < kChecksPerLook
+                   ? 0
+                   : page->back().sequence + 1;
+  for (const CheckRecord& record : *page) LookAt(record, &write);
+  return write;
+}
+
+void SecondSearches::LookAt(const CheckRecord& record, ChecksWrite* write) {
+  std::optional<StoredCheck> check = changes_->Read(record);
+  if (!check) return;
+  const std::int64_t now_ns = vehicle_->clock();
+  const core::DroppedStretches& dropped = vehicle_->loaded->dropped();
+  const bool is_dropped = dropped.Contains(record.sequence);
+  bool is_undecided = false;
+  bool is_changed = false;
+  double value = 0.0;
+  for (std::size_t i = 0; i < check->candidates.size(); ++i) {
+    StoredCandidate& candidate = check->candidates[i];
+    if (candidate.state == CandidateState::kConfirmed &&
+        candidate.contradicted != candidate.decision &&
+        contradicted_.count(candidate.decision) > 0) {
+      candidate.contradicted = candidate.decision;
+      changes_->Change(record, &*check, i,
+                       {CandidateState::kOpen, CandidateCause::kContradiction,
+                        "", now_ns, ""},
+                       write);
+    }
+    if (candidate.state == CandidateState::kOpen &&
+        (is_dropped || dropped.Contains(candidate.matched_sequence))) {
+      changes_->Change(record, &*check, i,
+                       {CandidateState::kWithdrawn, CandidateCause::kRetention,
+                        "", now_ns, ""},
+                       write);
+      continue;
+    }
+    is_undecided =
+        is_undecided || (IsUndecided(candidate.state) &&
+                         candidate.cause != CandidateCause::kRetention);
+    const double renewed = changes_->ValueOf(record.sequence, candidate);
+    if (std::abs(renewed - candidate.value) >
+        kValueStep * std::max(renewed, candidate.value)) {
+      candidate.value = renewed;
+      is_changed = true;
+    }
+    value = std::max(value, candidate.value);
+  }
+  const bool is_stale =
+      is_undecided && !is_dropped &&
+      basis_->Of(record.sequence, check->candidates) != check->basis;
+  if (is_stale) waiting_.push_back({value, record.sequence});
+  if (is_stale != check->stale) {
+    check->stale = is_stale;
+    is_changed = true;
+  }
+  if (is_changed) changes_->Put(record, *check, write);
+}
+
+void SecondSearches::EndLook() {
+  std::sort(
+      waiting_.begin(), waiting_.end(), [](const Waiting& a, const Waiting& b) {
+        // Of equal ones, the earlier is searched first.
+        return a.value != b.value ? a.value < b.value : a.sequence > b.sequence;
+      });
+  looked_ = looks_at_;
+  is_at_work_ = false;
+  NoteStale(waiting_.size());
+  Consider();
+}
+
+// ---- Searches
+
+void SecondSearches::Search() {
+  is_at_work_ = true;
+  search_ = SearchTurns();
+  gave_way_ = 0;
+  queue_->PostSearch(kFlow, [this] { TakeTurn(); });
+}
+
+void SecondSearches::TakeTurn() {
+  if (!changes_->MayWork()) {
+    GiveUp();
+    return;
+  }
+  const auto leave = [this] {
+    is_at_work_ = false;
+    Consider();
+  };
+  if (basis_->version() != looked_ || waiting_.empty()) {
+    leave();
+    return;
+  }
+  const auto node =
+      vehicle_->loaded->graph().NodeAtOrBefore(waiting_.back().sequence);
+  if (!node) {
+    waiting_.pop_back();
+    leave();
+    return;
+  }
+  core::SearchOptions options = vehicle_->head.config().drive.search;
+  options.max_comparisons = policy_.max_search_steps;
+  const bool gives_way = gave_way_ < kMostGivenWay;
+  const auto set = search_.Take(vehicle_->View(), *node, options, [&] {
+    return gives_way && queue_->IsWanted();
+  });
+  if (!set || !set->ok()) {
+    // It has more turns to take; or gave way; or has searched as many marks as
+    // one search may, and the next one goes on behind them.
+    if (set) {
+      ++gave_way_;
+      search_ = SearchTurns();
+    } else {
+      gave_way_ = 0;
+    }
+    queue_->PostSearch(kFlow, [this] { TakeTurn(); });
+    return;
+  }
+  --allowed_;
+  if (policy_.monitor != nullptr) policy_.monitor->SearchedAgain();
+  RunStep([this, answer = Read(**set)] { return Compare(answer); },
+          [this](bool ok) {
+            if (!ok) return;
+            is_at_work_ = false;
+            Consider();
+          });
+}
+
+SecondSearches::Answer SecondSearches::Read(
+    const core::CandidateSet& set) const {
+  const core::PoseGraph& graph = vehicle_->loaded->graph();
+  const double keep = vehicle_->head.config().keep_probability;
+  Answer answer;
+  answer.sequence = waiting_.back().sequence;
+  answer.bytes = changes_->codec()->EncodeFound(vehicle_->View(), set,
+                                                search_.all_turns());
+  for (const core::Candidate& candidate : set.candidates) {
+    answer.found.push_back({candidate.rank, PoseOf(graph, candidate.matched),
+                            ProbabilityOf(candidate),
+                            IsWorthKeeping(candidate, keep)});
+  }
+  return answer;
+}
+
+absl::StatusOr<ChecksWrite> SecondSearches::Compare(const Answer& answer) {
+  ChecksWrite write = changes_->Begin();
+  // What was found is about what there was when the search was made.
+  if (basis_->version() != looked_) return write;
+  if (!waiting_.empty() && waiting_.back().sequence == answer.sequence) {
+    waiting_.pop_back();
+    NoteStale(waiting_.size());
+  }
+  const auto rows = vehicle_->storage->ListChecks(
+      vehicle_->head.key(), answer.sequence, answer.sequence, false, 1);
+  if (!rows.ok()) return rows.status();
+  if (rows->empty()) return write;
+  const CheckRecord& record = rows->front();
+  std::optional<StoredCheck> check = changes_->Read(record);
+  if (!check) return write;
+
+  // Each candidate that is kept is the nearest one that was found, if any lies
+  // at its place.
+  std::vector<Found> found = answer.found;
+  std::vector<std::optional<Found>> same(check->candidates.size());
+  for (std::size_t i = 0; i < check->candidates.size(); ++i) {
+    const double place =
+        changes_->TravelledAt(check->candidates[i].matched_sequence);
+    const auto away = [&](const Found& one) {
+      return std::abs(changes_->TravelledAt(one.matched_sequence) - place);
+    };
+    const auto nearest = std::min_element(
+        found.begin(), found.end(),
+        [&](const Found& a, const Found& b) { return away(a) < away(b); });
+    if (nearest == found.end() || away(*nearest) > core::kPlaceRadiusMeters) {
+      continue;
+    }
+    same[i] = *nearest;
+    found.erase(nearest);
+  }
+  check->latest = answer.bytes;
+  check->stale = false;
+  const std::int64_t now_ns = vehicle_->clock();
+  for (std::size_t i = 0; i < same.size(); ++i) {
+    StoredCandidate& candidate = check->candidates[i];
+    candidate.latest_rank = same[i] ? same[i]->rank : 0;
+    candidate.probability = same[i] ? same[i]->probability : 0.0;
+    candidate.value = changes_->ValueOf(record.sequence, candidate);
+  }
+  for (std::size_t i = 0; i < same.size(); ++i) {
+    const StoredCandidate& candidate = check->candidates[i];
+    const bool is_kept = same[i] && same[i]->is_kept;
+    const bool is_open = candidate.state == CandidateState::kOpen;
+    // One that closures contradict stays until somebody has looked.
+    const bool goes = is_open && !is_kept &&
+                      candidate.cause != CandidateCause::kContradiction;
+    const bool comes_back = candidate.state == CandidateState::kWithdrawn &&
+                            candidate.cause == CandidateCause::kSearch &&
+                            is_kept;
+    if (!goes && !comes_back) continue;
+    changes_->Change(record, &*check, i,
+                     {goes ? CandidateState::kWithdrawn : CandidateState::kOpen,
+                      CandidateCause::kSearch, "", now_ns, ""},
+                     &write);
+  }
+  for (const Found& one : found) {
+    if (!one.is_kept) continue;
+    StoredCandidate& late = check->candidates.emplace_back();
+    late.number = static_cast<std::uint32_t>(check->candidates.size());
+    late.latest_rank = one.rank;
+    late.matched_sequence = one.matched_sequence;
+    late.probability = one.probability;
+    late.cause = CandidateCause::kSearch;
+    late.update_time_ns = now_ns;
+    changes_->Decide(record.sequence, &late);
+    late.value = changes_->ValueOf(record.sequence, late);
+    changes_->Tell(record.sequence, &*check, check->candidates.size() - 1,
+                   &write);
+  }
+  check->basis = basis_->Of(record.sequence, check->candidates);
+  changes_->Put(record, *check, &write);
+  return write;
+}
+
+}  // namespace revisit::server
