@@ -25,19 +25,6 @@ std::string TimeOf(const v1::Node& node) {
                       StampSeconds(node.stamp()), " s)");
 }
 
-std::string PlaceOf(const v1::Node& node) {
-  return absl::StrCat("sequence ", node.sequence(), ", ",
-                      Fixed(node.travelled_meters(), 1), " m", TimeOf(node));
-}
-
-// "-12.0 to +8.0", in metres along the path from the matched node.
-std::string Text(const v1::PlaceInterval& interval) {
-  const double before = interval.meters_before();
-  const double after = interval.meters_after();
-  return absl::StrCat(before > 0.0 ? "-" : "", Fixed(before, 1), " to ",
-                      after > 0.0 ? "+" : "", Fixed(after, 1));
-}
-
 // Whether the match may be in another recording than the query.
 bool TellsOfFrames(const C& c) {
   return c.frame_state() != v1::FRAME_STATE_UNSPECIFIED &&
@@ -165,7 +152,7 @@ void AddJudgementColumns(Columns* columns) {
     return c.has_probability() ? Fixed(c.probability(), 4) : "-";
   });
   columns->Add("ALONG m", Align::kRight, [](const C& c) {
-    return c.has_place_interval() ? Text(c.place_interval()) : "-";
+    return c.has_place_interval() ? IntervalText(c.place_interval()) : "-";
   });
   columns->Add("VERDICT", Align::kLeft,
                [](const C& c) { return NameOf(c.verdict()); });
@@ -249,6 +236,22 @@ void AddWideColumns(Columns* columns) {
 
 }  // namespace
 
+std::string PlaceText(const v1::Node& node) {
+  return absl::StrCat("sequence ", node.sequence(), ", ",
+                      Fixed(node.travelled_meters(), 1), " m", TimeOf(node));
+}
+
+std::string IntervalText(const v1::PlaceInterval& interval) {
+  const double before = interval.meters_before();
+  const double after = interval.meters_after();
+  return absl::StrCat(before > 0.0 ? "-" : "", Fixed(before, 1), " to ",
+                      after > 0.0 ? "+" : "", Fixed(after, 1));
+}
+
+std::string ValueText(const v1::CheckCandidate& candidate) {
+  return Fixed(candidate.value_square_meters(), 3);
+}
+
 DecidingGate DecidingGateOf(const v1::Candidate& candidate) {
   const v1::Gate& end = candidate.gate();
   const bool by_end = candidate.verdict() == v1::VERDICT_REJECTED_BY_GATE ||
@@ -278,14 +281,14 @@ std::uint64_t RecordingOfMatch(const v1::Candidate& candidate) {
 }
 
 void PrintCheck(const v1::CandidateSet& set, std::ostream& out) {
-  out << "check at " << PlaceOf(set.query()) << ": ";
+  out << "check at " << PlaceText(set.query()) << ": ";
   if (set.candidates().empty()) {
     out << "no candidates, " << Explain(set.empty_reason()) << '\n';
     return;
   }
   const v1::Candidate& best = set.candidates(0);
   const DecidingGate gate = DecidingGateOf(best);
-  out << PlaceOf(best.matched()) << ", ";
+  out << PlaceText(best.matched()) << ", ";
   if (TellsOfFrames(best)) {
     out << "recording " << RecordingOfMatch(best) << " ("
         << NameOf(best.frame_state()) << "), ";
@@ -299,7 +302,7 @@ void PrintCheck(const v1::CandidateSet& set, std::ostream& out) {
     out << "probability " << Fixed(best.probability(), 4) << ", ";
   }
   if (best.has_place_interval()) {
-    out << Text(best.place_interval()) << " m along the path, ";
+    out << IntervalText(best.place_interval()) << " m along the path, ";
   }
   if (best.direction() == v1::DIRECTION_OPPOSITE) {
     out << "opposite direction, ";

@@ -8,6 +8,7 @@
 
 #include "client/terminal/terminal.h"
 #include "revisit/v1/candidate.pb.h"
+#include "revisit/v1/check.pb.h"
 
 namespace revisit::client {
 
@@ -41,6 +42,21 @@ DecidingGate DecidingGateOf(const v1::Candidate& candidate);
 // The recording of a candidate's match: its first sequence. 0 if the server has
 // not told it.
 std::uint64_t RecordingOfMatch(const v1::Candidate& candidate);
+
+// "sequence 2068, 7012.4 m, 2020-11-26T18:58:17.528Z (1606417097.528 s)": the
+// pose before a node, how far it lies along the path, and its time if it has
+// one.
+std::string PlaceText(const v1::Node& node);
+
+// "-12.0 to +8.0", in metres along the path from the matched node.
+std::string IntervalText(const v1::PlaceInterval& interval);
+
+// CheckCandidate.value_square_meters, as people read it.
+std::string ValueText(const v1::CheckCandidate& candidate);
+
+// What is said of a check that is stale.
+inline constexpr char kStaleText[] =
+    "stale: what this rests on has changed, and it waits to be searched again";
 
 // A line for one check of a stream: its first candidate.
 void PrintCheck(const v1::CandidateSet& set, std::ostream& out);

@@ -6,6 +6,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <optional>
+#include <set>
 #include <string>
 #include <type_traits>
 #include <utility>
@@ -59,6 +60,14 @@ inline std::string OrderOf(const v1::Check& check) {
   return name.substr(0, slash) + " " + sequence;
 }
 
+// What the order of a list is.
+enum class PageOrder {
+  // That of OrderOf(), which never changes.
+  kByName,
+  // One that may change while the pages are read, so that an item comes twice.
+  kChanging,
+};
+
 // The pages of a list, one after the other. `list(request)` asks for a page,
 // and `items(page)` are what it holds.
 template <typename Request, typename List, typename Items>
@@ -67,31 +76,40 @@ class PageReader {
   using Page = std::decay_t<decltype(*std::declval<List>()(
       std::declval<const Request&>()))>;
 
-  PageReader(Request request, List list, Items items)
+  PageReader(Request request, List list, Items items,
+             PageOrder order = PageOrder::kByName)
       : request_(std::move(request)),
         list_(std::move(list)),
-        items_(std::move(items)) {}
+        items_(std::move(items)),
+        order_(order) {}
 
   // Reads the next page; false after the last one. INTERNAL if the list does
   // not go on in its order, as when the server sends a page again, or consists
-  // of empty pages: it might never end.
+  // of pages that are empty or bring nothing new: it might never end.
   absl::StatusOr<bool> Next() {
     if (ended_) return false;
     auto page = list_(request_);
     if (!page.ok()) return page.status();
     page_ = *std::move(page);
+    bool brought_something = false;
     for (const auto& item : items_(page_)) {
+      if (order_ == PageOrder::kChanging) {
+        brought_something |= seen_.insert(OrderOf(item)).second;
+        continue;
+      }
+      brought_something = true;
       if (absl::Status status = Follow(OrderOf(item)); !status.ok()) {
         return status;
       }
     }
     ended_ = page_.next_page_token().empty();
     request_.set_page_token(page_.next_page_token());
-    empty_pages_ = items_(page_).empty() ? empty_pages_ + 1 : 0;
+    empty_pages_ = brought_something ? 0 : empty_pages_ + 1;
     if (empty_pages_ > kMostEmptyPages<Item>) {
       return absl::InternalError(absl::StrCat(
           "the server's list does not go on: ", empty_pages_,
-          " empty pages follow each other, and each names another"));
+          " pages that bring nothing new follow each other, and each names "
+          "another"));
     }
     return true;
   }
@@ -118,7 +136,10 @@ class PageReader {
   const List list_;
   const Items items_;
   Page page_;
+  const PageOrder order_;
   std::optional<Order> last_;
+  // All that came, where the order may change.
+  std::set<Order> seen_;
   int empty_pages_ = 0;
   bool ended_ = false;
 };
@@ -127,8 +148,10 @@ class PageReader {
 // last page was visited. Errors are those of PageReader and of `visit`.
 template <typename Request, typename List, typename Items, typename Visit>
 absl::Status VisitPages(Request request, const List& list, const Items& items,
-                        const Visit& visit) {
-  PageReader<Request, List, Items> reader(std::move(request), list, items);
+                        const Visit& visit,
+                        PageOrder order = PageOrder::kByName) {
+  PageReader<Request, List, Items> reader(std::move(request), list, items,
+                                          order);
   for (;;) {
     const absl::StatusOr<bool> found = reader.Next();
     if (!found.ok()) return found.status();

@@ -7,6 +7,7 @@
 
 #include "client/cli/commands/checks_command.h"
 #include "client/cli/commands/context_command.h"
+#include "client/cli/commands/contradictions_command.h"
 #include "client/cli/commands/convert_command.h"
 #include "client/cli/commands/deletions_command.h"
 #include "client/cli/commands/demo_command.h"
@@ -71,6 +72,7 @@ void AddCommands(const Command& program, const ConnectionFlags* connection,
   AddClosuresCommand(program);
   AddRejectionsCommand(program);
   AddDeletionsCommand(program);
+  AddContradictionsCommand(program);
   AddPosesCommand(program);
   AddRecordingsCommand(program);
   AddShowCommand(program);

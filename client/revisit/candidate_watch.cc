@@ -69,6 +69,15 @@ struct Place {
   }
 };
 
+// Null if none has this rank. Ranks begin with 1; 0 stands for none.
+const v1::Candidate* OfRank(const v1::CandidateSet& set, int rank) {
+  if (rank == 0) return nullptr;
+  for (const v1::Candidate& found : set.candidates()) {
+    if (found.rank() == rank) return &found;
+  }
+  return nullptr;
+}
+
 // The event that would have told what a list says of a candidate.
 WatchedEvent Listed(const v1::Check& check,
                     const v1::CheckCandidate& candidate) {
@@ -82,7 +91,9 @@ WatchedEvent Listed(const v1::Check& check,
   if (const v1::Candidate* const evidence = EvidenceOf(check, candidate)) {
     *told->mutable_evidence() = *evidence;
   }
-  told->set_revision(check.candidates().revision());
+  told->set_revision(candidate.latest_rank() > 0
+                         ? check.latest().revision()
+                         : check.candidates().revision());
   *told->mutable_event_time() = candidate.update_time();
   return event;
 }
@@ -445,10 +456,14 @@ std::string CandidateWatch::cursor() const {
 
 const v1::Candidate* EvidenceOf(const v1::Check& check,
                                 const v1::CheckCandidate& candidate) {
-  for (const v1::Candidate& found : check.candidates().candidates()) {
-    if (found.rank() == candidate.rank()) return &found;
-  }
-  return nullptr;
+  return candidate.latest_rank() > 0
+             ? OfRank(check.latest(), candidate.latest_rank())
+             : FirstEvidenceOf(check, candidate);
+}
+
+const v1::Candidate* FirstEvidenceOf(const v1::Check& check,
+                                     const v1::CheckCandidate& candidate) {
+  return OfRank(check.candidates(), candidate.rank());
 }
 
 bool Matches(const v1::CandidateFilter& filter, const v1::Check& check,
@@ -464,7 +479,8 @@ bool Matches(const v1::CandidateFilter& filter, const v1::Check& check,
                                           ? v1::VERDICT_UNSPECIFIED
                                           : evidence->verdict()) &&
          (evidence == nullptr ? 0.0 : evidence->probability()) >=
-             filter.least_probability();
+             filter.least_probability() &&
+         candidate.value_square_meters() >= filter.least_value_square_meters();
 }
 
 }  // namespace revisit::client

@@ -124,14 +124,21 @@ class CandidateWatch {
   const std::unique_ptr<Rep> rep_;
 };
 
-// Returns the candidate that the search of CHECK found under the rank of
-// CANDIDATE, with its alignment and gate; null if none has this rank.
+// Returns what the last search that found CANDIDATE found of it, with its
+// alignment and gate: of CHECK's latest search where that found it, or else of
+// its first one. Null where neither did, as of a candidate that only a search
+// between these found.
 const v1::Candidate* EvidenceOf(const v1::Check& check,
                                 const v1::CheckCandidate& candidate);
 
+// Returns what the first search of CHECK found of CANDIDATE; null where only a
+// later one found it.
+const v1::Candidate* FirstEvidenceOf(const v1::Check& check,
+                                     const v1::CheckCandidate& candidate);
+
 // Whether a candidate of a check matches, as the server sees it: a list of
 // checks has all candidates of each. One without a probability counts as
-// improbable.
+// improbable. Its probability and its verdict are those of EvidenceOf().
 bool Matches(const v1::CandidateFilter& filter, const v1::Check& check,
              const v1::CheckCandidate& candidate);
 

@@ -144,6 +144,11 @@ absl::StatusOr<v1::DeleteLoopClosureResponse> Client::DeleteLoopClosure(
   return rep_->Unary(Retry::kNever, &Stub::DeleteLoopClosure, request);
 }
 
+absl::StatusOr<v1::FindContradictionsResponse> Client::FindContradictions(
+    const v1::FindContradictionsRequest& request) const {
+  return rep_->Unary(Retry::kSafe, &Stub::FindContradictions, request);
+}
+
 absl::StatusOr<v1::RejectCandidateResponse> Client::RejectCandidate(
     const v1::RejectCandidateRequest& request) const {
   return rep_->Unary(Retry::kSafe, &Stub::RejectCandidate, request);

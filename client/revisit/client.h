@@ -88,6 +88,9 @@ class Client {
   // Not retried, as DeleteVehicle.
   absl::StatusOr<v1::DeleteLoopClosureResponse> DeleteLoopClosure(
       const v1::DeleteLoopClosureRequest& request) const;
+  // Retried.
+  absl::StatusOr<v1::FindContradictionsResponse> FindContradictions(
+      const v1::FindContradictionsRequest& request) const;
   // Retried: the same candidate again is the existing rejection.
   absl::StatusOr<v1::RejectCandidateResponse> RejectCandidate(
       const v1::RejectCandidateRequest& request) const;

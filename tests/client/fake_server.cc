@@ -262,11 +262,43 @@ void FakeServer::Describe(v1::WatchCandidatesResponse* event) const {
   told->mutable_candidate()->set_name(told->candidate().name() + said);
 }
 
+namespace {
+
+template <typename Change>
+void ForCandidates(std::vector<v1::Check>* checks, const Change& change) {
+  for (v1::Check& check : *checks) {
+    for (v1::CheckCandidate& one : *check.mutable_states()) change(&one);
+  }
+}
+
+// The value of the most valuable open candidate; below 0 if there is none.
+double ValueOf(const v1::Check& check) {
+  double value = -1.0;
+  for (const v1::CheckCandidate& one : check.states()) {
+    if (one.state() == v1::CANDIDATE_STATE_OPEN) {
+      value = std::max(value, one.value_square_meters());
+    }
+  }
+  return value;
+}
+
+}  // namespace
+
 template <typename Pair>
 void FakeServer::NoteDecision(const std::string& decision,
-                              const std::string& candidate, const Pair& pair) {
+                              const std::string& candidate, const Pair& pair,
+                              const std::string& made) {
   std::lock_guard<std::mutex> lock(mutex_);
   if (candidate.empty()) return;
+  ForCandidates(&checks_, [&](v1::CheckCandidate* one) {
+    if (one->name() != candidate) return;
+    const bool confirms = decision == "confirm";
+    one->set_state(confirms ? v1::CANDIDATE_STATE_CONFIRMED
+                            : v1::CANDIDATE_STATE_REJECTED);
+    one->set_cause(confirms ? v1::CANDIDATE_CAUSE_LOOP_CLOSURE
+                            : v1::CANDIDATE_CAUSE_REJECTION);
+    one->set_decision(made);
+  });
   decisions_.push_back(decision + " " + candidate + " " +
                        std::to_string(pair.query_sequence()) + "-" +
                        std::to_string(pair.matched_sequence()));
@@ -275,6 +307,12 @@ void FakeServer::NoteDecision(const std::string& decision,
 void FakeServer::NoteDeletion(const std::string& name) {
   std::lock_guard<std::mutex> lock(mutex_);
   deleted_.push_back(name);
+  ForCandidates(&checks_, [&name](v1::CheckCandidate* one) {
+    if (one->decision() != name) return;
+    one->set_state(v1::CANDIDATE_STATE_OPEN);
+    one->set_cause(v1::CANDIDATE_CAUSE_DELETION);
+    one->clear_decision();
+  });
 }
 
 grpc::Status FakeServer::CreateVehicle(grpc::ServerContext*,
@@ -378,6 +416,36 @@ std::vector<v1::ListChecksRequest> FakeServer::CheckLists() const {
   return check_lists_;
 }
 
+void FakeServer::ChangeChecks(
+    std::function<void(std::vector<v1::Check>*)> change) {
+  std::lock_guard<std::mutex> lock(mutex_);
+  change_checks_ = std::move(change);
+}
+
+void FakeServer::set_contradictions(
+    const v1::FindContradictionsResponse& found) {
+  std::lock_guard<std::mutex> lock(mutex_);
+  contradictions_ = found;
+}
+
+std::vector<v1::AddLoopClosureRequest> FakeServer::AddedClosures() const {
+  std::lock_guard<std::mutex> lock(mutex_);
+  return added_closures_;
+}
+
+grpc::Status FakeServer::FindContradictions(
+    grpc::ServerContext*, const v1::FindContradictionsRequest*,
+    v1::FindContradictionsResponse* response) {
+  {
+    std::lock_guard<std::mutex> lock(mutex_);
+    *response = contradictions_;
+  }
+  for (v1::Contradiction& one : *response->mutable_contradictions()) {
+    one.set_loop_closure(one.loop_closure() + Said());
+  }
+  return NextUnaryStatus();
+}
+
 std::vector<std::string> FakeServer::Decisions() const {
   std::lock_guard<std::mutex> lock(mutex_);
   return decisions_;
@@ -421,11 +489,19 @@ grpc::Status FakeServer::ListChecks(grpc::ServerContext*,
     if (next == 0) {
       response->set_watch_cursor("at " + std::to_string(events_.size()));
     }
-    while (next < checks_.size() && response->checks_size() < kPage) {
-      if (matches(checks_[next])) *response->add_checks() = checks_[next];
+    if (change_checks_) change_checks_(&checks_);
+    std::vector<v1::Check> checks = checks_;
+    if (request->order() == v1::LIST_CHECKS_ORDER_BY_VALUE) {
+      std::stable_sort(checks.begin(), checks.end(),
+                       [](const v1::Check& a, const v1::Check& b) {
+                         return ValueOf(a) > ValueOf(b);
+                       });
+    }
+    while (next < checks.size() && response->checks_size() < kPage) {
+      if (matches(checks[next])) *response->add_checks() = checks[next];
       ++next;
     }
-    if (next < checks_.size()) {
+    if (next < checks.size()) {
       response->set_next_page_token(std::to_string(next));
     }
   }
@@ -477,10 +553,16 @@ grpc::Status FakeServer::WatchCandidates(
 grpc::Status FakeServer::AddLoopClosure(
     grpc::ServerContext*, const v1::AddLoopClosureRequest* request,
     v1::AddLoopClosureResponse* response) {
-  NoteDecision("confirm", request->candidate(), request->loop_closure());
+  const std::string id =
+      request->loop_closure_id().empty() ? "new" : request->loop_closure_id();
+  const std::string name = request->parent() + "/loopClosures/" + id;
+  {
+    std::lock_guard<std::mutex> lock(mutex_);
+    added_closures_.push_back(*request);
+  }
+  NoteDecision("confirm", request->candidate(), request->loop_closure(), name);
   *response->mutable_loop_closure() = request->loop_closure();
-  response->mutable_loop_closure()->set_name(request->parent() +
-                                             "/loopClosures/new" + Said());
+  response->mutable_loop_closure()->set_name(name + Said());
   response->set_revision(7);
   return NextUnaryStatus();
 }
@@ -488,7 +570,8 @@ grpc::Status FakeServer::AddLoopClosure(
 grpc::Status FakeServer::RejectCandidate(
     grpc::ServerContext*, const v1::RejectCandidateRequest* request,
     v1::RejectCandidateResponse* response) {
-  NoteDecision("reject", request->candidate(), request->rejected_candidate());
+  NoteDecision("reject", request->candidate(), request->rejected_candidate(),
+               request->parent() + "/rejectedCandidates/new");
   *response->mutable_rejected_candidate() = request->rejected_candidate();
   response->mutable_rejected_candidate()->set_name(
       request->parent() + "/rejectedCandidates/new" + Said());

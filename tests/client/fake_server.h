@@ -110,8 +110,13 @@ class FakeServer final : public v1::PoseGraphService::Service {
   void set_candidates(const v1::CandidateSet& candidates);
 
   // ListChecks() lists those of these that have a candidate in one of the
-  // filter's states, two on a page.
+  // filter's states, two on a page, by value where that is asked for. Decisions
+  // that name a candidate close it, and their deletion opens it.
   void set_checks(std::vector<v1::Check> checks);
+  // Called before each page of ListChecks(), with all checks.
+  void ChangeChecks(std::function<void(std::vector<v1::Check>*)> change);
+  // FindContradictions() answers these.
+  void set_contradictions(const v1::FindContradictionsResponse& found);
   // Tells this to all watches, whatever their filter is. The cursor behind it
   // is "at N" if it is the Nth.
   void AddEvent(v1::WatchCandidatesResponse event);
@@ -143,6 +148,8 @@ class FakeServer final : public v1::PoseGraphService::Service {
   // "confirm NAME QUERY-MATCHED" and "reject NAME QUERY-MATCHED" of each
   // decision about the candidate NAME, in order.
   std::vector<std::string> Decisions() const;
+  // All requests to add a loop closure, in order.
+  std::vector<v1::AddLoopClosureRequest> AddedClosures() const;
   // Names that deletions asked for, in order.
   std::vector<std::string> Deleted() const;
   int largest_batch() const;
@@ -196,6 +203,9 @@ class FakeServer final : public v1::PoseGraphService::Service {
   grpc::Status DeleteLoopClosure(grpc::ServerContext*,
                                  const v1::DeleteLoopClosureRequest*,
                                  v1::DeleteLoopClosureResponse*) override;
+  grpc::Status FindContradictions(grpc::ServerContext*,
+                                  const v1::FindContradictionsRequest*,
+                                  v1::FindContradictionsResponse*) override;
   // Pages of what is stored.
   grpc::Status ListPoses(grpc::ServerContext*, const v1::ListPosesRequest*,
                          v1::ListPosesResponse*) override;
@@ -228,7 +238,7 @@ class FakeServer final : public v1::PoseGraphService::Service {
   void NoteDeletion(const std::string& name);
   template <typename Pair>
   void NoteDecision(const std::string& decision, const std::string& candidate,
-                    const Pair& pair);
+                    const Pair& pair, const std::string& made);
   // Stores what is new of a batch. Mutex must be held.
   grpc::Status Store(const v1::PoseBatch& batch);
 
@@ -252,6 +262,9 @@ class FakeServer final : public v1::PoseGraphService::Service {
   v1::CandidateSet candidates_;
   std::vector<v1::Recording> recordings_;
   std::vector<v1::Check> checks_;
+  std::function<void(std::vector<v1::Check>*)> change_checks_;
+  v1::FindContradictionsResponse contradictions_;
+  std::vector<v1::AddLoopClosureRequest> added_closures_;
   std::vector<v1::WatchCandidatesResponse> events_;
   std::function<std::optional<grpc::Status>(const WatchStep&)> watch_faults_;
   std::vector<std::string> watch_cursors_;

@@ -67,6 +67,25 @@ inline v1::Check CheckOf(const std::string& vehicle, std::uint64_t sequence,
   return check;
 }
 
+// Has a later search, at revision 9, find one candidate of the check alone,
+// with this probability, so that it has this value.
+inline void SearchAgain(v1::Check* check, int candidate, double probability,
+                        double value) {
+  v1::CheckCandidate* const state = check->mutable_states(candidate - 1);
+  v1::CandidateSet* const latest = check->mutable_latest();
+  *latest = check->candidates();
+  latest->clear_candidates();
+  latest->set_revision(9);
+  v1::Candidate* const found = latest->add_candidates();
+  if (state->rank() > 0) {
+    *found = check->candidates().candidates(state->rank() - 1);
+  }
+  found->set_rank(1);
+  found->set_probability(probability);
+  state->set_latest_rank(1);
+  state->set_value_square_meters(value);
+}
+
 }  // namespace revisit::client
 
 #endif  // REVISIT_TESTS_CLIENT_STORED_CANDIDATES_H_

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <iterator>
 #include <memory>
+#include <set>
+#include <string>
 #include <utility>
 #include <vector>
 
@@ -19,6 +21,18 @@ namespace revisit::client {
 namespace {
 
 constexpr char kEveryVehicle[] = "-";
+constexpr WholeRange kLooks = {0, 1000};
+
+constexpr char kChecksDetails[] =
+    "Of vehicles whose checks are stored (vehicle create --checks stored): "
+    "a check that found candidates worth keeping, how many of these are in "
+    "each state, and the best one of those that the flags let through. - "
+    "stands for all vehicles. --sequence shows one check with all that it "
+    "found: then, and now if it was searched again.\n\n"
+    "--by value begins with what is worth a look most: VALUE is the "
+    "probability of the candidate times the variance of the vehicle's "
+    "positions that confirming it takes away. The one that is shown is then "
+    "the most valuable one that is open.";
 
 constexpr v1::CandidateState kStates[] = {
     v1::CANDIDATE_STATE_OPEN, v1::CANDIDATE_STATE_CONFIRMED,
@@ -29,6 +43,10 @@ std::string LastPart(const std::string& name) {
   return name.substr(name.rfind('/') + 1);
 }
 
+bool OrdersByValue(const ChecksOptions& options) {
+  return options.order == v1::LIST_CHECKS_ORDER_BY_VALUE;
+}
+
 // All checks of all pages in one response.
 absl::StatusOr<v1::ListChecksResponse> ListAllChecks(
     const Client& client, const ChecksOptions& options) {
@@ -37,7 +55,11 @@ absl::StatusOr<v1::ListChecksResponse> ListAllChecks(
   request.set_parent(VehicleName(options.vehicle));
   request.set_page_size(kPageChecks);
   *request.mutable_filter() = options.filter;
+  request.set_order(options.order);
+  request.set_fresh_only(options.fresh_only);
+  request.set_looks_per_kilometer(options.looks_per_kilometer);
   v1::ListChecksResponse all;
+  std::set<std::string> listed;
   const absl::Status visited = VisitPages(
       request,
       [&](const v1::ListChecksRequest& asked) {
@@ -47,86 +69,189 @@ absl::StatusOr<v1::ListChecksResponse> ListAllChecks(
         return page.checks();
       },
       [&](const v1::ListChecksResponse& page) -> absl::StatusOr<bool> {
-        all.mutable_checks()->MergeFrom(page.checks());
+        for (const v1::Check& check : page.checks()) {
+          // One that moved over the edge of a page comes twice.
+          if (listed.insert(check.name()).second) *all.add_checks() = check;
+        }
         if (all.watch_cursor().empty()) {
           all.set_watch_cursor(page.watch_cursor());
         }
         return true;
-      });
+      },
+      OrdersByValue(options) ? PageOrder::kChanging : PageOrder::kByName);
   if (!visited.ok()) return visited;
   return all;
 }
 
-// The best of the candidates that the filter lets through: they are kept in the
-// order of rank. Null if there is none.
-const v1::Candidate* BestOf(const v1::CandidateFilter& filter,
-                            const v1::Check& check) {
+// The candidate that stands for its check: the best of those that the filter
+// lets through, which are kept in the order of rank; by value, the most
+// valuable one of these that is open, if there is one. Null if none is let
+// through.
+const v1::CheckCandidate* ShownOf(const ChecksOptions& options,
+                                  const v1::Check& check) {
+  const v1::CheckCandidate* best = nullptr;
+  const v1::CheckCandidate* most_valuable = nullptr;
   for (const v1::CheckCandidate& candidate : check.states()) {
-    if (Matches(filter, check, candidate)) return EvidenceOf(check, candidate);
+    if (!Matches(options.filter, check, candidate)) continue;
+    if (best == nullptr) best = &candidate;
+    if (candidate.state() == v1::CANDIDATE_STATE_OPEN &&
+        (most_valuable == nullptr ||
+         candidate.value_square_meters() >
+             most_valuable->value_square_meters())) {
+      most_valuable = &candidate;
+    }
   }
-  return nullptr;
+  return OrdersByValue(options) && most_valuable != nullptr ? most_valuable
+                                                            : best;
+}
+
+template <typename Condition>
+std::string CountOf(const v1::Check& check, const Condition& condition) {
+  return absl::StrCat(
+      std::count_if(check.states().begin(), check.states().end(), condition));
+}
+
+// Which columns a list of checks has.
+struct ChecksColumns {
+  ChecksColumns(const v1::ListChecksResponse& all, const ChecksOptions& options)
+      : vehicle(options.vehicle == kEveryVehicle),
+        looks(options.looks_per_kilometer > 0),
+        stale(std::any_of(
+            all.checks().begin(), all.checks().end(),
+            [](const v1::Check& check) { return check.stale(); })) {}
+
+  std::vector<Table::Column> Titles() const {
+    using Align = Table::Align;
+    std::vector<Table::Column> titles;
+    if (vehicle) titles.push_back({"VEHICLE", Align::kLeft});
+    titles.push_back({"SEQUENCE", Align::kRight});
+    for (const v1::CandidateState state : kStates) {
+      titles.push_back({NameOf(state), Align::kRight});
+    }
+    if (looks) titles.push_back({"LOOKS", Align::kRight});
+    titles.insert(titles.end(), {{"MATCHED_SEQ", Align::kRight},
+                                 {"PROBABILITY", Align::kRight},
+                                 {"VALUE m2", Align::kRight},
+                                 {"VERDICT", Align::kLeft}});
+    if (stale) titles.push_back({"STALE", Align::kLeft});
+    titles.push_back({"STORED", Align::kLeft});
+    return titles;
+  }
+
+  const bool vehicle;
+  // How many looks at each are recommended.
+  const bool looks;
+  // Only where one is.
+  const bool stale;
+};
+
+std::vector<std::string> ChecksRow(const v1::Check& check,
+                                   const ChecksColumns& columns,
+                                   const ChecksOptions& options) {
+  std::vector<std::string> row;
+  if (columns.vehicle) {
+    row.push_back(check.name().substr(0, check.name().rfind("/checks/")));
+  }
+  row.push_back(LastPart(check.name()));
+  for (const v1::CandidateState state : kStates) {
+    row.push_back(CountOf(check, [state](const v1::CheckCandidate& candidate) {
+      return candidate.state() == state;
+    }));
+  }
+  if (columns.looks) {
+    row.push_back(CountOf(check, [](const v1::CheckCandidate& candidate) {
+      return candidate.recommended();
+    }));
+  }
+  const v1::CheckCandidate* const shown = ShownOf(options, check);
+  const v1::Candidate* const evidence =
+      shown == nullptr ? nullptr : EvidenceOf(check, *shown);
+  row.push_back(
+      evidence == nullptr ? "-" : absl::StrCat(evidence->matched().sequence()));
+  row.push_back(evidence == nullptr || !evidence->has_probability()
+                    ? "-"
+                    : Fixed(evidence->probability(), 4));
+  row.push_back(shown == nullptr ? "-" : ValueText(*shown));
+  row.push_back(evidence == nullptr ? "-" : NameOf(evidence->verdict()));
+  if (columns.stale) row.push_back(check.stale() ? "yes" : "-");
+  row.push_back(StampText(check.create_time()));
+  return row;
 }
 
 void PrintChecks(const v1::ListChecksResponse& all,
                  const ChecksOptions& options, const Terminal& terminal) {
-  using Align = Table::Align;
-  const bool every_vehicle = options.vehicle == kEveryVehicle;
-  std::vector<Table::Column> columns;
-  if (every_vehicle) columns.push_back({"VEHICLE", Align::kLeft});
-  columns.push_back({"SEQUENCE", Align::kRight});
-  for (const v1::CandidateState state : kStates) {
-    columns.push_back({NameOf(state), Align::kRight});
-  }
-  columns.insert(columns.end(), {{"MATCHED_SEQ", Align::kRight},
-                                 {"PROBABILITY", Align::kRight},
-                                 {"VERDICT", Align::kLeft},
-                                 {"STORED", Align::kLeft}});
-  Table table(columns);
+  const ChecksColumns columns(all, options);
+  Table table(columns.Titles());
   for (const v1::Check& check : all.checks()) {
-    std::vector<std::string> row;
-    if (every_vehicle) {
-      row.push_back(check.name().substr(0, check.name().rfind("/checks/")));
-    }
-    row.push_back(LastPart(check.name()));
-    for (const v1::CandidateState state : kStates) {
-      row.push_back(absl::StrCat(
-          std::count_if(check.states().begin(), check.states().end(),
-                        [state](const v1::CheckCandidate& candidate) {
-                          return candidate.state() == state;
-                        })));
-    }
-    const v1::Candidate* const best = BestOf(options.filter, check);
-    row.push_back(best == nullptr ? "-"
-                                  : absl::StrCat(best->matched().sequence()));
-    row.push_back(best == nullptr || !best->has_probability()
-                      ? "-"
-                      : Fixed(best->probability(), 4));
-    row.push_back(best == nullptr ? "-" : NameOf(best->verdict()));
-    row.push_back(StampText(check.create_time()));
-    table.AddRow(std::move(row));
+    table.AddRow(ChecksRow(check, columns, options));
   }
   table.Print(terminal.out, terminal.width);
 }
 
 void PrintStates(const v1::Check& check, const Terminal& terminal) {
   using Align = Table::Align;
-  Table table({{"CANDIDATE", Align::kRight},
-               {"RANK", Align::kRight},
-               {"STATE", Align::kLeft},
-               {"CAUSE", Align::kLeft},
-               {"SINCE", Align::kLeft},
-               {"ACTOR", Align::kLeft},
-               {"DECISION", Align::kLeft}});
+  std::vector<Table::Column> columns = {{"CANDIDATE", Align::kRight},
+                                        {"RANK", Align::kRight}};
+  if (check.has_latest()) columns.push_back({"RANK NOW", Align::kRight});
+  columns.insert(columns.end(), {{"VALUE m2", Align::kRight},
+                                 {"STATE", Align::kLeft},
+                                 {"CAUSE", Align::kLeft},
+                                 {"SINCE", Align::kLeft},
+                                 {"ACTOR", Align::kLeft},
+                                 {"DECISION", Align::kLeft}});
+  Table table(std::move(columns));
   const auto or_dash = [](const std::string& text) {
     return text.empty() ? "-" : text;
   };
+  const auto rank_or_dash = [](int rank) {
+    return rank == 0 ? "-" : absl::StrCat(rank);
+  };
   for (const v1::CheckCandidate& candidate : check.states()) {
-    table.AddRow({LastPart(candidate.name()), absl::StrCat(candidate.rank()),
-                  NameOf(candidate.state()), NameOf(candidate.cause()),
-                  StampText(candidate.update_time()),
-                  or_dash(candidate.actor()), or_dash(candidate.decision())});
+    std::vector<std::string> row = {LastPart(candidate.name()),
+                                    rank_or_dash(candidate.rank())};
+    if (check.has_latest()) {
+      row.push_back(rank_or_dash(candidate.latest_rank()));
+    }
+    row.insert(row.end(),
+               {ValueText(candidate), NameOf(candidate.state()),
+                NameOf(candidate.cause()), StampText(candidate.update_time()),
+                or_dash(candidate.actor()), or_dash(candidate.decision())});
+    table.AddRow(std::move(row));
   }
   table.Print(terminal.out, terminal.width);
+}
+
+// All that was found: then, and now where the check was searched again.
+void PrintSearches(const v1::Check& check, const Terminal& terminal) {
+  if (check.stale()) terminal.out << kStaleText << '\n';
+  if (!check.has_latest()) {
+    PrintCandidates(check.candidates(), terminal);
+    return;
+  }
+  terminal.out << "told then, of revision " << check.candidates().revision()
+               << ":\n";
+  PrintCandidates(check.candidates(), terminal);
+  terminal.out << "found now, of revision " << check.latest().revision()
+               << ":\n";
+  PrintCandidates(check.latest(), terminal);
+}
+
+// Finds fault with the flags taken together.
+std::string CheckFlags(const ChecksOptions& options, std::uint64_t sequence) {
+  const bool every_vehicle = options.vehicle == kEveryVehicle;
+  if (sequence != 0 && every_vehicle) {
+    return "--sequence: names a check of one vehicle, not of all";
+  }
+  if (OrdersByValue(options) && every_vehicle) {
+    return "--by: got value for all vehicles; allowed is time, or value of one "
+           "vehicle";
+  }
+  if (options.looks_per_kilometer > 0 && !OrdersByValue(options)) {
+    return absl::StrCat("--looks-per-kilometer: got ",
+                        options.looks_per_kilometer,
+                        " without --by value; allowed is 0, or --by value");
+  }
+  return "";
 }
 
 }  // namespace
@@ -134,13 +259,11 @@ void PrintStates(const v1::Check& check, const Terminal& terminal) {
 void AddChecksCommand(const Command& program) {
   const Command command = program.AddCommand(
       {"checks", "Lists the stored checks of a vehicle, or shows one.",
-       "Of vehicles whose checks are stored (vehicle create --checks stored): "
-       "a check that found candidates worth keeping, how many of these are in "
-       "each state, and the best one of those that the flags let through. - "
-       "stands for all vehicles. --sequence shows one check with all that it "
-       "found.",
+       kChecksDetails,
        "  revisit checks shuttle-7\n"
        "  revisit checks - --state open --least-probability 0.5\n"
+       "  revisit checks shuttle-7 --state open --by value "
+       "--looks-per-kilometer 2\n"
        "  revisit checks shuttle-7 --sequence 2068"});
   const auto options = std::make_shared<ChecksOptions>();
   const auto sequence = std::make_shared<std::uint64_t>(0);
@@ -151,11 +274,19 @@ void AddChecksCommand(const Command& program) {
   command.AddWholeNumber("--sequence", kSequences, sequence.get(),
                          "The one check that was due at this pose");
   AddCandidateFilter(command, &options->filter);
-  const Check check = [=]() -> std::string {
-    return *sequence != 0 && options->vehicle == kEveryVehicle
-               ? "--sequence: names a check of one vehicle, not of all"
-               : "";
-  };
+  command.AddChoice("--by",
+                    {{"time", v1::LIST_CHECKS_ORDER_BY_TIME},
+                     {"value", v1::LIST_CHECKS_ORDER_BY_VALUE}},
+                    &options->order,
+                    "By vehicle and sequence (time), or the most valuable "
+                    "first (value; of one vehicle)");
+  command.AddSwitch("--fresh-only", &options->fresh_only,
+                    "Leave out checks that wait to be searched again");
+  command.AddWholeNumber(
+      "--looks-per-kilometer", kLooks, &options->looks_per_kilometer,
+      "With --by value: mark so many looks of each kilometre travelled, the "
+      "most valuable");
+  const Check check = [=] { return CheckFlags(*options, *sequence); };
   command.AlsoPrints({OutputFormat::kWide, OutputFormat::kName});
   command.Runs(
       [=](const Connection& server, const Terminal& terminal) {
@@ -197,7 +328,7 @@ absl::Status RunChecksGet(const Client& client, const std::string& vehicle,
     }
   } else {
     PrintStates(check, terminal);
-    PrintCandidates(check.candidates(), terminal);
+    PrintSearches(check, terminal);
   }
   return absl::OkStatus();
 }

@@ -1,5 +1,9 @@
 #include "client/cli/commands/shared_flags.h"
 
+#include <cmath>
+#include <string>
+
+#include "absl/strings/numbers.h"
 #include "client/answers/names.h"
 #include "client/formats/angles.h"
 
@@ -48,6 +52,19 @@ void AddCandidateFilter(const Command& command, v1::CandidateFilter* filter) {
       "--least-probability", "P",
       [filter](double least) { filter->set_least_probability(least); },
       "Candidates at least so probable");
+  command.AddText(
+      "--least-value", "M2",
+      [filter](const std::string& text) -> std::string {
+        double least = 0.0;
+        if (!absl::SimpleAtod(text, &least) || !std::isfinite(least) ||
+            least < 0.0) {
+          return "a finite number that is not negative";
+        }
+        filter->set_least_value_square_meters(least);
+        return "";
+      },
+      "Candidates of which a look is worth at least so many square metres of "
+      "the variance of positions");
 }
 
 void AddUncertainty(const Command& command, UncertaintyOptions* options) {

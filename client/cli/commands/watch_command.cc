@@ -16,6 +16,7 @@
 #include "absl/strings/ascii.h"
 #include "absl/strings/str_cat.h"
 #include "client/answers/names.h"
+#include "client/cli/commands/candidate_decisions.h"
 #include "client/cli/commands/shared_flags.h"
 #include "client/revisit/candidate_watch.h"
 #include "client/revisit/printable_text.h"
@@ -50,6 +51,9 @@ constexpr char kDetails[] =
     "  20       nobody decides yet\n"
     "  another  the watch ends with an error, and the event comes again in the "
     "next run\n\n"
+    "A candidate of a loop closure that contradicts others "
+    "(\"CANDIDATE_CAUSE_CONTRADICTION\") is open once more: 0 upholds the "
+    "closure, 10 deletes it.\n\n"
     "What it prints goes to standard error. Programs that fail end with 1 or "
     "2, "
     "as a rule, which therefore decide nothing.";
@@ -70,39 +74,6 @@ std::string LineOf(const WatchedEvent& event) {
     if (message.contains(kind)) line[kind] = message[kind];
   }
   return JsonText(line, false) + "\n";
-}
-
-// "vehicles/a" of "vehicles/a/checks/150".
-std::string VehicleOfCheck(const std::string& check) {
-  return check.substr(0, check.rfind("/checks/"));
-}
-
-// Whether a decision can never be taken any more: the candidate, its poses or
-// its vehicle are gone, or somebody else has decided.
-bool IsTooLate(const absl::Status& status) {
-  return absl::IsNotFound(status) || absl::IsAlreadyExists(status) ||
-         absl::IsOutOfRange(status) ||
-         DetailsOf(status).reason == "POSE_PAIR_CONFLICT";
-}
-
-absl::Status Confirm(const Client& client, const v1::CandidateEvent& event) {
-  v1::AddLoopClosureRequest request;
-  request.set_parent(VehicleOfCheck(event.check()));
-  request.set_candidate(event.candidate().name());
-  v1::LoopClosure* const closure = request.mutable_loop_closure();
-  closure->set_query_sequence(event.evidence().query().sequence());
-  closure->set_matched_sequence(event.evidence().matched().sequence());
-  return client.AddLoopClosure(request).status();
-}
-
-absl::Status Reject(const Client& client, const v1::CandidateEvent& event) {
-  v1::RejectCandidateRequest request;
-  request.set_parent(VehicleOfCheck(event.check()));
-  request.set_candidate(event.candidate().name());
-  v1::RejectedCandidate* const rejected = request.mutable_rejected_candidate();
-  rejected->set_query_sequence(event.evidence().query().sequence());
-  rejected->set_matched_sequence(event.evidence().matched().sequence());
-  return client.RejectCandidate(request).status();
 }
 
 // Works off the events of a watch.
@@ -146,10 +117,16 @@ class Worker {
     const auto end = RunShellCommand(options_.command, line);
     if (!end.ok()) return end.status();
     if (end->signal == 0 && end->exit_code == 0) {
-      return Decided(Confirm(client_, event), event);
+      return Decided(
+          ConfirmCandidate(client_, event.candidate(), event.evidence(), "")
+              .status(),
+          event);
     }
     if (end->signal == 0 && end->exit_code == kRejects) {
-      return Decided(Reject(client_, event), event);
+      return Decided(
+          RejectCandidate(client_, event.candidate(), event.evidence(), "")
+              .status(),
+          event);
     }
     if (end->signal == 0 && end->exit_code == kLeaves) return absl::OkStatus();
     if (WasInterrupted()) return absl::CancelledError("interrupted");

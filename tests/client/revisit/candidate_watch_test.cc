@@ -460,6 +460,48 @@ TEST_F(CandidateWatchTest, FilterOfAListIsThatOfTheServer) {
   filter.Clear();
   filter.set_least_probability(0.01);
   EXPECT_EQ(both(filter), std::pair(false, true));
+  filter.Clear();
+  filter.set_least_value_square_meters(2.5);
+  EXPECT_EQ(both(filter), std::pair(false, false));
+  check.mutable_states(1)->set_value_square_meters(2.5);
+  EXPECT_EQ(both(filter), std::pair(false, true));
+}
+
+TEST_F(CandidateWatchTest, EvidenceIsThatOfTheLastSearchThatFoundIt) {
+  v1::Check check =
+      CheckOf("a", 100, {v1::CANDIDATE_STATE_OPEN, v1::CANDIDATE_STATE_OPEN});
+  SearchAgain(&check, 2, 0.7, 1.0);
+  EXPECT_EQ(EvidenceOf(check, check.states(0))->probability(), 0.9);
+  EXPECT_EQ(EvidenceOf(check, check.states(1))->probability(), 0.7);
+  EXPECT_NEAR(FirstEvidenceOf(check, check.states(1))->probability(), 0.09,
+              1e-12);
+  v1::CandidateFilter filter;
+  filter.set_least_probability(0.5);
+  EXPECT_TRUE(Matches(filter, check, check.states(1)));
+  // A candidate that only a search between the first and the last one found.
+  check.mutable_states(1)->set_rank(0);
+  EXPECT_EQ(FirstEvidenceOf(check, check.states(1)), nullptr);
+  check.mutable_states(1)->set_latest_rank(0);
+  EXPECT_EQ(EvidenceOf(check, check.states(1)), nullptr);
+  EXPECT_FALSE(Matches(filter, check, check.states(1)));
+}
+
+TEST_F(LostCursorTest, ListTellsTheRevisionOfTheSearchThatFoundIt) {
+  v1::Check check =
+      CheckOf("a", 100, {v1::CANDIDATE_STATE_OPEN, v1::CANDIDATE_STATE_OPEN});
+  SearchAgain(&check, 2, 0.7, 1.0);
+  server_.set_checks({check});
+  options_.begin_with_list = true;
+  std::vector<std::uint64_t> revisions;
+  callbacks_.event = [&](const WatchedEvent& event) {
+    revisions.push_back(event.message.candidate().revision());
+    return revisions.size() < 2 ? absl::OkStatus()
+                                : absl::AbortedError("enough");
+  };
+  CandidateWatch watch(MakeInsecureChannel(server_.address()), options_,
+                       callbacks_);
+  EXPECT_TRUE(absl::IsAborted(watch.Run()));
+  EXPECT_THAT(revisions, ElementsAre(7, 9));
 }
 
 }  // namespace

@@ -103,6 +103,18 @@ TEST_F(ClientTest, ListsWhatWasDeletedAlsoAfterAFailure) {
   EXPECT_EQ(server_.unary_calls(), 2);
 }
 
+TEST_F(ClientTest, FindsContradictionsAlsoAfterAFailure) {
+  v1::FindContradictionsResponse found;
+  found.add_contradictions()->set_loop_closure("vehicles/a/loopClosures/1");
+  server_.set_contradictions(found);
+  server_.FailUnaryCalls({StoreUnavailable()});
+  const auto answer = client_.FindContradictions({});
+  ASSERT_TRUE(answer.ok()) << answer.status();
+  EXPECT_EQ(answer->contradictions(0).loop_closure(),
+            "vehicles/a/loopClosures/1");
+  EXPECT_EQ(server_.unary_calls(), 2);
+}
+
 TEST_F(ClientTest, ReadsChecksAlsoAfterAFailure) {
   server_.set_checks({CheckOf("a", 90, {v1::CANDIDATE_STATE_OPEN}),
                       CheckOf("a", 100, {v1::CANDIDATE_STATE_OPEN}),

@@ -14,6 +14,7 @@
 #include <vector>
 
 #include "client/cli/commands/checks_command.h"
+#include "client/cli/commands/contradictions_command.h"
 #include "client/cli/commands/deletions_command.h"
 #include "client/cli/commands/export_command.h"
 #include "client/cli/commands/find_command.h"
@@ -87,6 +88,9 @@ class HostileServerTest : public CommandTest {
     }
     server_.set_recordings(std::move(recordings));
     server_.set_checks({CheckOf("a", 90, {v1::CANDIDATE_STATE_OPEN})});
+    v1::FindContradictionsResponse found;
+    found.add_contradictions()->set_loop_closure("vehicles/a/loopClosures/1");
+    server_.set_contradictions(found);
     server_.AddEvent(EventOf("a", 1));
     // Watches end once they were told something.
     server_.FailWatches(
@@ -145,6 +149,16 @@ class HostileServerTest : public CommandTest {
         {"checks",
          [this](const Terminal& c) {
            return RunChecksList(client_, {"-", {}}, c);
+         }},
+        {"checks by value",
+         [this](const Terminal& c) {
+           ChecksOptions options = {"a", {}};
+           options.order = v1::LIST_CHECKS_ORDER_BY_VALUE;
+           return RunChecksList(client_, options, c);
+         }},
+        {"contradictions",
+         [this](const Terminal& c) {
+           return RunContradictions(client_, "a", c);
          }},
         {"checks, one",
          [this](const Terminal& c) {
@@ -281,13 +295,14 @@ TEST_F(HostileServerTest, ListsThatDoNotGoOnEndWithAnError) {
   std::vector<NamedCommand> commands;
   for (NamedCommand& command : Commands()) {
     for (const char* name :
-         {"vehicle list", "checks", "closures list", "rejections list",
-          "deletions list", "closures delete", "poses list", "recordings list",
-          "export g2o", "export tum", "export csv", "map html", "revise"}) {
+         {"vehicle list", "checks", "checks by value", "contradictions",
+          "closures list", "rejections list", "deletions list",
+          "closures delete", "poses list", "recordings list", "export g2o",
+          "export tum", "export csv", "map html", "revise"}) {
       if (command.name == name) commands.push_back(command);
     }
   }
-  ASSERT_EQ(commands.size(), 13u);
+  ASSERT_EQ(commands.size(), 15u);
   Append(3);
   for (const ListEnd end :
        {ListEnd::kRepeats, ListEnd::kRepeatsUnderFreshTokens,

@@ -271,6 +271,92 @@ TEST_F(WatchCommandTest, CommandIsGivenTheLineAndAskedAboutOpenOnesAlone) {
               ElementsAre("confirm vehicles/a/checks/90/candidates/1 90-10"));
 }
 
+TEST_F(WatchCommandTest, EventsTellTheValue) {
+  v1::WatchCandidatesResponse event = EventOf("a", 1);
+  event.mutable_candidate()->mutable_candidate()->set_value_square_meters(2.5);
+  server_.AddEvent(event);
+  SetCursor("at 0");
+  EndAfter(1);
+  EXPECT_EQ(ExitCodeOf(Run()), 71);
+  EXPECT_EQ(Lines()[0]["candidate"]["candidate"]["valueSquareMeters"], 2.5);
+}
+
+class ContradictedTest : public WatchCommandTest {
+ protected:
+  // The candidate 150-20, whose loop closure others contradict.
+  ContradictedTest() {
+    v1::WatchCandidatesResponse event = EventOf("a", 1);
+    v1::CandidateEvent* const told = event.mutable_candidate();
+    told->mutable_candidate()->set_cause(v1::CANDIDATE_CAUSE_CONTRADICTION);
+    told->mutable_evidence()->mutable_query()->set_sequence(150);
+    told->mutable_evidence()->mutable_matched()->set_sequence(20);
+    event_ = event;
+    SetCursor("at 0");
+    EndAfter(1);
+  }
+
+  v1::WatchCandidatesResponse event_;
+};
+
+TEST_F(ContradictedTest, ConfirmationUpholdsTheClosureAsItIs) {
+  server_.AddEvent(event_);
+  options_.command = "exit 0";
+  EXPECT_EQ(ExitCodeOf(Run()), 71);
+  ASSERT_THAT(server_.AddedClosures(), SizeIs(1));
+  const v1::AddLoopClosureRequest added = server_.AddedClosures()[0];
+  EXPECT_EQ(added.loop_closure_id(), "150-20");
+  EXPECT_EQ(added.loop_closure().decided_by(), "token:eva");
+  EXPECT_EQ(added.candidate(), "vehicles/a/checks/100/candidates/1");
+}
+
+TEST_F(ContradictedTest, RejectionDeletesTheClosureFirst) {
+  server_.AddEvent(event_);
+  options_.command = "exit 10";
+  EXPECT_EQ(ExitCodeOf(Run()), 71);
+  EXPECT_THAT(server_.Deleted(), ElementsAre("vehicles/a/loopClosures/150-20"));
+  EXPECT_THAT(server_.Decisions(),
+              ElementsAre("reject vehicles/a/checks/100/candidates/1 150-20"));
+}
+
+TEST_F(ContradictedTest, ClosureBesideTheCandidateIsKnownByContradicting) {
+  // Nearer to 150-20 than to any other, but of none of the poses of a closure.
+  event_.mutable_candidate()
+      ->mutable_evidence()
+      ->mutable_matched()
+      ->set_sequence(21);
+  server_.AddEvent(event_);
+  v1::FindContradictionsResponse found;
+  found.add_contradictions()->set_loop_closure("vehicles/a/loopClosures/again");
+  server_.set_contradictions(found);
+  options_.command = "exit 0";
+  EXPECT_EQ(ExitCodeOf(Run()), 71);
+  ASSERT_THAT(server_.AddedClosures(), SizeIs(1));
+  EXPECT_EQ(server_.AddedClosures()[0].loop_closure_id(), "again");
+}
+
+TEST_F(ContradictedTest, ClosureThatIsNotFoundIsNeverReplacedByAnother) {
+  event_.mutable_candidate()
+      ->mutable_evidence()
+      ->mutable_matched()
+      ->set_sequence(21);
+  server_.AddEvent(event_);
+  options_.command = "exit 10";
+  EXPECT_EQ(ExitCodeOf(Run()), 71);
+  EXPECT_THAT(server_.Deleted(), IsEmpty());
+  EXPECT_THAT(server_.Decisions(), IsEmpty());
+  EXPECT_THAT(progress_.str(), HasSubstr("too late for vehicles/a/checks/100"));
+}
+
+TEST_F(ContradictedTest, ClosureThatTheCandidateNamesIsTheOne) {
+  event_.mutable_candidate()->mutable_candidate()->set_decision(
+      "vehicles/a/loopClosures/again");
+  server_.AddEvent(event_);
+  options_.command = "exit 0";
+  EXPECT_EQ(ExitCodeOf(Run()), 71);
+  ASSERT_THAT(server_.AddedClosures(), SizeIs(1));
+  EXPECT_EQ(server_.AddedClosures()[0].loop_closure_id(), "again");
+}
+
 TEST_F(WatchCommandTest, DecisionThatFailsStopsBeforeItsEvent) {
   server_.AddEvent(EventOf("a", 1));
   SetCursor("at 0");

@@ -1,0 +1,203 @@
+#include "client/cli/commands/candidate_decisions.h"
+
+#include <cstddef>
+#include <cstdint>
+#include <set>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "client/answers/names.h"
+#include "client/answers/pages.h"
+#include "client/revisit/status.h"
+
+namespace revisit::client {
+namespace {
+
+// "vehicles/a" of the name of anything that the vehicle has.
+std::string VehicleOf(const std::string& name) {
+  const std::size_t id = name.find('/');
+  return id == name.npos ? name : name.substr(0, name.find('/', id + 1));
+}
+
+std::string IdOf(const std::string& name) {
+  return name.substr(name.rfind('/') + 1);
+}
+
+std::uint64_t Apart(std::uint64_t a, std::uint64_t b) {
+  return a > b ? a - b : b - a;
+}
+
+// The names of the loop closures that contradict others.
+absl::StatusOr<std::set<std::string>> Contradicting(
+    const Client& client, const std::string& vehicle) {
+  v1::FindContradictionsRequest request;
+  request.set_vehicle(vehicle);
+  const auto found = client.FindContradictions(request);
+  if (!found.ok()) return found.status();
+  std::set<std::string> names;
+  for (const v1::Contradiction& contradiction : found->contradictions()) {
+    names.insert(contradiction.loop_closure());
+  }
+  return names;
+}
+
+absl::Status IsGone(const v1::CheckCandidate& candidate) {
+  return absl::NotFoundError(
+      absl::StrCat("the loop closure that confirmed ", candidate.name(),
+                   " is gone, or contradicts nothing any more"));
+}
+
+// The loop closure that confirmed a contradicted candidate: the one that the
+// candidate names; else the one of its poses; else, since a closure confirms
+// candidates beside it as well, the nearest of those that contradict others. No
+// other one is ever taken, since a rejection deletes it.
+absl::StatusOr<v1::LoopClosure> ClosureOf(const Client& client,
+                                          const v1::CheckCandidate& candidate,
+                                          const v1::Candidate& evidence) {
+  const std::string vehicle = VehicleOf(candidate.name());
+  const auto all = ListClosures(client, vehicle);
+  if (!all.ok()) return all.status();
+  const auto apart = [&evidence](const v1::LoopClosure& closure) {
+    return Apart(closure.query_sequence(), evidence.query().sequence()) +
+           Apart(closure.matched_sequence(), evidence.matched().sequence());
+  };
+  for (const v1::LoopClosure& closure : *all) {
+    if (candidate.decision().empty() ? apart(closure) == 0
+                                     : closure.name() == candidate.decision()) {
+      return closure;
+    }
+  }
+  if (!candidate.decision().empty()) return IsGone(candidate);
+  const auto contradicting = Contradicting(client, vehicle);
+  if (!contradicting.ok()) return contradicting.status();
+  const v1::LoopClosure* nearest = nullptr;
+  for (const v1::LoopClosure& closure : *all) {
+    if (contradicting->count(closure.name()) == 0) continue;
+    if (nearest == nullptr || apart(closure) < apart(*nearest)) {
+      nearest = &closure;
+    }
+  }
+  if (nearest == nullptr) return IsGone(candidate);
+  return *nearest;
+}
+
+template <typename Pair>
+void Link(const v1::Candidate& evidence, const std::string& note, Pair* pair) {
+  pair->set_query_sequence(evidence.query().sequence());
+  pair->set_matched_sequence(evidence.matched().sequence());
+  pair->set_note(note);
+}
+
+// Adds a loop closure as it was, or is.
+absl::Status AddAgain(const Client& client, const v1::LoopClosure& closure,
+                      const std::string& candidate) {
+  v1::AddLoopClosureRequest request;
+  request.set_parent(VehicleOf(closure.name()));
+  request.set_loop_closure_id(IdOf(closure.name()));
+  request.set_candidate(candidate);
+  *request.mutable_loop_closure() = closure;
+  return client.AddLoopClosure(request).status();
+}
+
+}  // namespace
+
+bool IsContradicted(const v1::CheckCandidate& candidate) {
+  return candidate.state() == v1::CANDIDATE_STATE_OPEN &&
+         candidate.cause() == v1::CANDIDATE_CAUSE_CONTRADICTION;
+}
+
+absl::StatusOr<CandidateDecision> ConfirmCandidate(
+    const Client& client, const v1::CheckCandidate& candidate,
+    const v1::Candidate& evidence, const std::string& note) {
+  using Kind = CandidateDecision::Kind;
+  if (IsContradicted(candidate)) {
+    const auto closure = ClosureOf(client, candidate, evidence);
+    if (!closure.ok()) return closure.status();
+    if (absl::Status added = AddAgain(client, *closure, candidate.name());
+        !added.ok()) {
+      return added;
+    }
+    return CandidateDecision{
+        Kind::kUpheld, candidate.name(), closure->name(), {}};
+  }
+  v1::AddLoopClosureRequest request;
+  request.set_parent(VehicleOf(candidate.name()));
+  request.set_candidate(candidate.name());
+  Link(evidence, note, request.mutable_loop_closure());
+  const auto added = client.AddLoopClosure(request);
+  if (!added.ok()) return added.status();
+  return CandidateDecision{
+      Kind::kConfirmed, candidate.name(), added->loop_closure().name(), {}};
+}
+
+absl::StatusOr<CandidateDecision> RejectCandidate(
+    const Client& client, const v1::CheckCandidate& candidate,
+    const v1::Candidate& evidence, const std::string& note) {
+  CandidateDecision decision;
+  decision.kind = CandidateDecision::Kind::kRejected;
+  decision.candidate = candidate.name();
+  if (IsContradicted(candidate)) {
+    auto closure = ClosureOf(client, candidate, evidence);
+    if (!closure.ok()) return closure.status();
+    v1::DeleteLoopClosureRequest request;
+    request.set_name(closure->name());
+    const auto deleted = client.DeleteLoopClosure(request);
+    if (!deleted.ok()) return deleted.status();
+    decision.deleted.push_back(*std::move(closure));
+  }
+  v1::RejectCandidateRequest request;
+  request.set_parent(VehicleOf(candidate.name()));
+  request.set_candidate(candidate.name());
+  Link(evidence, note, request.mutable_rejected_candidate());
+  const auto added = client.RejectCandidate(request);
+  if (!added.ok()) return added.status();
+  decision.made = added->rejected_candidate().name();
+  return decision;
+}
+
+absl::Status UndoDecision(const Client& client,
+                          const CandidateDecision& decision) {
+  switch (decision.kind) {
+    case CandidateDecision::Kind::kUpheld:
+      return absl::FailedPreconditionError(absl::StrCat(
+          decision.made, " was there before and stays: nothing is undone"));
+    case CandidateDecision::Kind::kConfirmed: {
+      v1::DeleteLoopClosureRequest request;
+      request.set_name(decision.made);
+      return client.DeleteLoopClosure(request).status();
+    }
+    case CandidateDecision::Kind::kRejected:
+      break;
+  }
+  v1::DeleteRejectedCandidateRequest request;
+  request.set_name(decision.made);
+  absl::Status undone = client.DeleteRejectedCandidate(request).status();
+  for (const v1::LoopClosure& closure : decision.deleted) {
+    if (!undone.ok()) break;
+    undone = AddAgain(client, closure, decision.candidate);
+  }
+  return undone;
+}
+
+bool IsTooLate(const absl::Status& status) {
+  return absl::IsNotFound(status) || absl::IsAlreadyExists(status) ||
+         absl::IsOutOfRange(status) ||
+         DetailsOf(status).reason == "POSE_PAIR_CONFLICT";
+}
+
+absl::StatusOr<std::vector<v1::LoopClosure>> ListClosures(
+    const Client& client, const std::string& vehicle) {
+  v1::ListLoopClosuresRequest request;
+  request.set_parent(VehicleName(vehicle));
+  request.set_page_size(1000);
+  return ReadPages(
+      request,
+      [&](const v1::ListLoopClosuresRequest& asked) {
+        return client.ListLoopClosures(asked);
+      },
+      [](const v1::ListLoopClosuresResponse& page) -> const auto& {
+        return page.loop_closures();
+      });
+}
+
+}  // namespace revisit::client
