@@ -21,6 +21,7 @@
 #include "client/cli/commands/map_command.h"
 #include "client/cli/commands/poses_command.h"
 #include "client/cli/commands/recordings_command.h"
+#include "client/cli/commands/review_command.h"
 #include "client/cli/commands/revise_command.h"
 #include "client/cli/commands/show_command.h"
 #include "client/cli/commands/stream_command.h"
@@ -67,6 +68,7 @@ void AddCommands(const Command& program, const ConnectionFlags* connection,
   AddFindCommand(program);
   AddChecksCommand(program);
   AddWatchCommand(program);
+  AddReviewCommand(program);
   AddConfirmCommand(program);
   AddRejectCommand(program);
   AddClosuresCommand(program);

@@ -456,6 +456,7 @@ grpc::Status FakeServer::GetCheck(grpc::ServerContext*,
                                   v1::GetCheckResponse* response) {
   {
     std::lock_guard<std::mutex> lock(mutex_);
+    if (change_checks_) change_checks_(&checks_);
     for (const v1::Check& check : checks_) {
       if (check.name() == request->name()) *response->mutable_check() = check;
     }

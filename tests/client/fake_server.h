@@ -113,7 +113,8 @@ class FakeServer final : public v1::PoseGraphService::Service {
   // filter's states, two on a page, by value where that is asked for. Decisions
   // that name a candidate close it, and their deletion opens it.
   void set_checks(std::vector<v1::Check> checks);
-  // Called before each page of ListChecks(), with all checks.
+  // Called before each page of ListChecks() and each GetCheck(), with all
+  // checks.
   void ChangeChecks(std::function<void(std::vector<v1::Check>*)> change);
   // FindContradictions() answers these.
   void set_contradictions(const v1::FindContradictionsResponse& found);

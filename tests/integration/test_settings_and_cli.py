@@ -223,7 +223,7 @@ def driven(stub, revisit):
 COMMANDS = [("vehicle", "create"), ("vehicle", "get"), ("vehicle", "list"),
             ("vehicle", "update"), ("vehicle", "accept-loss"),
             ("vehicle", "delete"), ("stream",),
-            ("find",), ("checks",), ("watch",),
+            ("find",), ("checks",), ("watch",), ("review",),
             ("confirm",), ("reject",), ("closures", "list"),
             ("closures", "delete"), ("rejections", "list"),
             ("rejections", "delete"), ("deletions", "list"),

@@ -42,12 +42,18 @@ void AddCandidateFilter(const Command& command, v1::CandidateFilter* filter) {
       },
       "Candidates in this state; once for each that is wanted, all if left "
       "out");
+  AddCandidateThresholds(command, filter);
+}
+
+void AddCandidateThresholds(const Command& command,
+                            v1::CandidateFilter* filter) {
   command.AddRepeatedChoice(
       "--verdict", WordsOf(v1::Verdict_descriptor()),
       [filter](int verdict) {
         filter->add_verdicts(static_cast<v1::Verdict>(verdict));
       },
-      "Candidates of this verdict, likewise");
+      "Candidates of this verdict; once for each that is wanted, all if left "
+      "out");
   command.AddNumber(
       "--least-probability", "P",
       [filter](double least) { filter->set_least_probability(least); },

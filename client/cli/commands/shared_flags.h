@@ -24,6 +24,10 @@ void AddDirection(const Command& command, v1::CandidateOptions* options);
 // Which stored candidates are wanted.
 void AddCandidateFilter(const Command& command, v1::CandidateFilter* filter);
 
+// The same, whatever their state is.
+void AddCandidateThresholds(const Command& command,
+                            v1::CandidateFilter* filter);
+
 // The uncertainty that is claimed for the poses of a drive file.
 void AddUncertainty(const Command& command, UncertaintyOptions* options);
 

@@ -9,6 +9,7 @@
 #include <future>
 #include <limits>
 #include <optional>
+#include <sstream>
 #include <string>
 #include <utility>
 #include <vector>
@@ -23,6 +24,7 @@
 #include "client/cli/commands/map_command.h"
 #include "client/cli/commands/poses_command.h"
 #include "client/cli/commands/recordings_command.h"
+#include "client/cli/commands/review_command.h"
 #include "client/cli/commands/revise_command.h"
 #include "client/cli/commands/show_command.h"
 #include "client/cli/commands/stream_command.h"
@@ -155,6 +157,13 @@ class HostileServerTest : public CommandTest {
            ChecksOptions options = {"a", {}};
            options.order = v1::LIST_CHECKS_ORDER_BY_VALUE;
            return RunChecksList(client_, options, c);
+         }},
+        {"review",
+         [this](const Terminal& c) {
+           ReviewOptions options;
+           options.vehicle = "a";
+           std::istringstream answers("\x1b[2J\nr\nu\ns\n");
+           return RunReview(client_, options, answers, c);
          }},
         {"contradictions",
          [this](const Terminal& c) {
@@ -296,13 +305,13 @@ TEST_F(HostileServerTest, ListsThatDoNotGoOnEndWithAnError) {
   for (NamedCommand& command : Commands()) {
     for (const char* name :
          {"vehicle list", "checks", "checks by value", "contradictions",
-          "closures list", "rejections list", "deletions list",
+          "review", "closures list", "rejections list", "deletions list",
           "closures delete", "poses list", "recordings list", "export g2o",
           "export tum", "export csv", "map html", "revise"}) {
       if (command.name == name) commands.push_back(command);
     }
   }
-  ASSERT_EQ(commands.size(), 15u);
+  ASSERT_EQ(commands.size(), 16u);
   Append(3);
   for (const ListEnd end :
        {ListEnd::kRepeats, ListEnd::kRepeatsUnderFreshTokens,
