@@ -26,6 +26,22 @@ def check(vehicle, sequence, *states, probability=0.9):
     return made
 
 
+def searched_again(made, number, probability, value):
+    """Has a later search, at the revision 200, find this candidate of a check alone."""
+    state = made.states[number - 1]
+    made.latest.revision = 200
+    made.latest.candidates.add(
+        rank=1, probability=probability, verdict=v1.VERDICT_ACCEPTED,
+        query=v1.Node(sequence=7), matched=v1.Node(sequence=number))
+    state.latest_rank, state.value_square_meters = 1, value
+    return made
+
+
+def closure(vehicle, closure_id, query, matched):
+    return v1.LoopClosure(name=f"vehicles/{vehicle}/loopClosures/{closure_id}",
+                          query_sequence=query, matched_sequence=matched, note="icp")
+
+
 class FakeFeed(FakeService):
     """Its cursors are "STORE:COUNT": behind so many events of a store."""
 
@@ -52,6 +68,8 @@ class FakeFeed(FakeService):
         self.list_faults = []
         self.page_size = 1
         self.decisions = []
+        self.closures = []
+        self.contradictions = []
 
     # What there is to tell.
 
@@ -135,6 +153,14 @@ class FakeFeed(FakeService):
         self._note(context)
         [found] = [one for one in self.checks if one.name == request.name]
         return v1.GetCheckResponse(check=found)
+
+    def ListLoopClosures(self, request, context):
+        self._note(context)
+        return v1.ListLoopClosuresResponse(loop_closures=self.closures)
+
+    def FindContradictions(self, request, context):
+        self._note(context)
+        return v1.FindContradictionsResponse(contradictions=self.contradictions)
 
     def AddLoopClosure(self, request, context):
         self._note(context)

@@ -15,7 +15,7 @@ import pytest
 
 import revisit
 from conftest import LONG
-from fake_feed import FakeFeed, check
+from fake_feed import FakeFeed, check, closure, searched_again
 from fake_service import Fault, serving
 from revisit import BackoffOptions, CursorFile, aio, v1
 
@@ -146,13 +146,14 @@ def test_events_say_what_became_of_a_candidate(client, feed):
 def test_what_is_wanted_is_asked_for(client, feed):
     watch = client.watch(["a", "vehicles/b"], cursor=feed.cursor(),
                          states=["open", CONFIRMED], verdicts="accepted",
-                         least_probability=0.25)
+                         least_probability=0.25, least_value=0.5)
     feed.tell("a", 1)
     next(watch)
     assert feed.watches == [v1.WatchCandidatesRequest(
         cursor="one:0", filter=v1.CandidateFilter(
             vehicles=["vehicles/a", "vehicles/b"], states=[OPEN, CONFIRMED],
-            verdicts=[v1.VERDICT_ACCEPTED], least_probability=0.25))]
+            verdicts=[v1.VERDICT_ACCEPTED], least_probability=0.25,
+            least_value_square_meters=0.5))]
     with pytest.raises(ValueError, match="OPEN, CONFIRMED"):
         client.watch(states="opened")
 
@@ -429,6 +430,99 @@ def test_candidates_are_decided_by_name(client, feed):
             refused.rejected_candidate.matched_sequence) == (7, 3)
     with pytest.raises(ValueError, match="vehicles/a was deleted"):
         next(watch).reject()
+
+
+def test_an_event_has_the_value_of_its_candidate(client, feed):
+    watch = begun(client, feed)
+    feed.tell("a", 1)
+    feed.events[-1].candidate.candidate.value_square_meters = 2.5
+    assert next(watch).candidate.value_square_meters == 2.5
+
+
+def test_a_list_tells_what_the_last_search_found(client, feed):
+    feed.checks = [
+        searched_again(check("a", 9, OPEN, OPEN), 2, probability=0.7, value=2.5),
+        searched_again(check("a", 10, OPEN), 1, probability=0.2, value=0.5)]
+    # Only a search between the first one and the last one found it.
+    feed.checks[1].states.add(name="vehicles/a/checks/10/candidates/2", state=OPEN)
+    events = client.watch(from_start=True)
+    told = [next(events) for _ in range(4)]
+    assert [one.evidence.probability for one in told] == [0.9, 0.7, 0.2, 0.0]
+    assert [one.revision for one in told] == [109, 200, 200, 110]
+    events = client.watch(from_start=True, least_probability=0.5)
+    assert [next(events).evidence.probability for _ in range(2)] == [0.9, 0.7]
+    events = client.watch(from_start=True, least_value=2.0)
+    assert next(events).evidence.probability == 0.7
+    assert revisit.evidence_of(feed.checks[1], feed.checks[1].states[1]) is None
+
+
+def contradicted(client, feed, query=10):
+    """The event of a candidate whose loop closure others contradict."""
+    watch = begun(client, feed)
+    feed.tell("a", 1)
+    told = feed.events[-1].candidate
+    told.candidate.cause = v1.CANDIDATE_CAUSE_CONTRADICTION
+    told.evidence.query.sequence = query
+    feed.closures = [closure("a", "first", 10, 1), closure("a", "other", 90, 80),
+                     closure("a", "third", 12, 1)]
+    return next(watch)
+
+
+def test_a_contradicted_closure_is_upheld_as_it_is(client, feed):
+    event = contradicted(client, feed)
+    assert event.is_contradicted
+    event.uphold()
+    [added] = feed.decisions
+    assert (added.parent, added.loop_closure_id) == ("vehicles/a", "first")
+    assert added.loop_closure == feed.closures[0]
+    assert added.candidate == "vehicles/a/checks/10/candidates/1"
+
+
+def test_a_contradicted_closure_beside_its_candidate_is_found(client, feed):
+    event = contradicted(client, feed, query=11)
+    with pytest.raises(LookupError, match="gone, or contradicts nothing"):
+        event.contradicted_closure()
+    feed.contradictions = [v1.Contradiction(loop_closure=one.name)
+                           for one in feed.closures[1:]]
+    assert event.contradicted_closure() == feed.closures[2]
+    event.candidate.decision = feed.closures[1].name
+    assert event.contradicted_closure() == feed.closures[1]
+
+
+def test_only_a_contradicted_closure_is_upheld(client, feed):
+    watch = begun(client, feed)
+    feed.tell("a", 1)
+    feed.tell_deletion("a", 2)
+    event = next(watch)
+    assert not event.is_contradicted
+    with pytest.raises(ValueError, match="no loop closure of vehicles/a"):
+        event.uphold()
+    with pytest.raises(ValueError, match="vehicles/a was deleted"):
+        next(watch).uphold()
+    assert feed.decisions == []
+
+
+def test_contradictions_are_found(client, feed):
+    feed.contradictions = [v1.Contradiction(loop_closure="x", p_value=0.001),
+                           v1.Contradiction(loop_closure="y", p_value=0.002)]
+    assert client.find_contradictions("a") == feed.contradictions
+
+
+def test_checks_are_listed_by_value(client, feed):
+    feed.checks = [check("a", 10, OPEN), check("a", 9, OPEN), check("a", 10, OPEN)]
+    listed = client.list_checks("a", states="open", least_value=0.5, order="value",
+                                fresh_only=True, looks_per_kilometer=2)
+    # One that moved over the edge of a page comes once.
+    assert [one.name[-2:] for one in listed] == ["10", "/9"]
+    asked = feed.lists[0]
+    assert (asked.order, asked.fresh_only, asked.looks_per_kilometer) == (
+        v1.LIST_CHECKS_ORDER_BY_VALUE, True, 2)
+    assert asked.filter.least_value_square_meters == 0.5
+    with pytest.raises(ValueError, match="'size': expected one of time, value"):
+        client.list_checks(order="size")
+    # By time they are in order.
+    with pytest.raises(revisit.Internal, match="does not go on"):
+        list(client.list_checks("a", order="time"))
 
 
 def test_checks_are_listed_page_by_page_with_the_cursor_of_the_first(client, feed):

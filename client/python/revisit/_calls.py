@@ -88,40 +88,51 @@ class Pages(Generic[_T]):
 
     def __init__(self, method: str, request: Any, field: str,
                  order: Callable[[Any], Any] = lambda item: item.name,
-                 most_empty_pages: int = _MOST_EMPTY_PAGES) -> None:
-        """`field` of an answer has what is on a page, in ascending `order`."""
+                 most_empty_pages: int = _MOST_EMPTY_PAGES,
+                 is_changing: bool = False) -> None:
+        """`field` of an answer has what is on a page, in ascending `order`; or, where
+        the order `is_changing` while the pages are read, in any: then what comes
+        twice is left out the second time."""
         self._method = method
         self._request = request
         self._field = field
         self._order = order
         self._most_empty_pages = most_empty_pages
         self._last: Any = None
+        self._seen: Optional[set[Any]] = set() if is_changing else None
         self._empty_pages = 0
+        self._has_brought = False
 
     def call(self) -> Call[Any]:
         return unary(self._method, self._request)
 
     def items(self, page: Any) -> Iterator[_T]:
         """The items of a page. Internal if the list does not go on in its order, as
-        when the server sends a page again, or consists of empty pages: it might
-        never end."""
+        when the server sends a page again, or consists of pages that are empty or
+        bring nothing new: it might never end."""
+        self._has_brought = False
         for item in getattr(page, self._field):
             key = self._order(item)
-            if self._last is not None and key <= self._last:
+            if self._seen is not None:
+                if key in self._seen:
+                    continue
+                self._seen.add(key)
+            elif self._last is not None and key <= self._last:
                 raise Internal(f"the server's list does not go on: {key} comes "
                                f"after {self._last}")
             self._last = key
+            self._has_brought = True
             yield item
 
     def turn(self, page: Any) -> bool:
         """Asks for the page after this one; whether there is one."""
         if not page.next_page_token:
             return False
-        self._empty_pages = (0 if getattr(page, self._field)
-                             else self._empty_pages + 1)
+        self._empty_pages = 0 if self._has_brought else self._empty_pages + 1
         if self._empty_pages > self._most_empty_pages:
             raise Internal(f"the server's list does not go on: {self._empty_pages} "
-                           "empty pages follow each other, and each names another")
+                           "pages that bring nothing new follow each other, and each "
+                           "names another")
         self._request.page_token = page.next_page_token
         return True
 
@@ -327,6 +338,38 @@ def delete_loop_closure(name: str) -> Call[Any]:
     return unary("DeleteLoopClosure", v1.DeleteLoopClosureRequest(name=name))
 
 
+def find_contradictions(vehicle: str) -> Call[list[v1.Contradiction]]:
+    def contradictions(answer: v1.FindContradictionsResponse
+                       ) -> list[v1.Contradiction]:
+        return list(answer.contradictions)
+
+    return unary("FindContradictions", v1.FindContradictionsRequest(
+        vehicle=vehicle_name(vehicle)), contradictions)
+
+
+def closure_of(candidate: v1.CheckCandidate, evidence: v1.Candidate,
+               closures: Iterable[v1.LoopClosure],
+               contradicting: Optional[Iterable[v1.Contradiction]] = None
+               ) -> Optional[v1.LoopClosure]:
+    """Of a vehicle's loop closures, the one that confirmed a contradicted candidate:
+    the one that it names, or else the one of its poses; or else, where it is known
+    which contradict others, the nearest of these, since a closure confirms candidates
+    beside it as well."""
+    def apart(closure: v1.LoopClosure) -> int:
+        return (abs(closure.query_sequence - evidence.query.sequence)
+                + abs(closure.matched_sequence - evidence.matched.sequence))
+
+    wanted = list(closures)
+    if candidate.decision:
+        wanted = [one for one in wanted if one.name == candidate.decision]
+    elif contradicting is None:
+        wanted = [one for one in wanted if apart(one) == 0]
+    else:
+        names = {one.loop_closure for one in contradicting}
+        wanted = [one for one in wanted if one.name in names]
+    return min(wanted, key=apart, default=None)
+
+
 def reject_candidate(vehicle: str,
                      query: Union[int, v1.Candidate, v1.RejectedCandidate],
                      matched: Optional[int], note: str, rejected_candidate_id: str,
@@ -363,14 +406,26 @@ def list_deleted_pose_pairs(vehicle: str) -> Pages[v1.DeletedPosePair]:
 
 
 def candidate_filter(vehicles: Vehicles, states: Words, verdicts: Words,
-                     least_probability: Optional[float]) -> v1.CandidateFilter:
+                     least_probability: Optional[float],
+                     least_value: Optional[float]) -> v1.CandidateFilter:
     if isinstance(vehicles, str):
         vehicles = (vehicles,)
     return v1.CandidateFilter(
         vehicles=[vehicle_name(vehicle) for vehicle in vehicles or ()],
         states=_numbers(v1.CandidateState, "states", states),
         verdicts=_numbers(v1.Verdict, "verdicts", verdicts),
-        least_probability=least_probability)
+        least_probability=least_probability,
+        least_value_square_meters=least_value)
+
+
+def evidence_of(check: v1.Check, candidate: v1.CheckCandidate
+                ) -> Optional[v1.Candidate]:
+    """What the last search that found a candidate of a check found of it: the check's
+    latest search where that found it, or else its first one. None where neither did,
+    as of a candidate that only a search between these found."""
+    found, rank = ((check.latest, candidate.latest_rank) if candidate.latest_rank
+                   else (check.candidates, candidate.rank))
+    return next((one for one in found.candidates if one.rank == rank), None)
 
 
 def _numbers(enum: Any, name: str, words: Words) -> list[Any]:
@@ -398,14 +453,29 @@ def _check_order(check: v1.Check) -> tuple[str, int]:
     return vehicle_of(check.name), int(number) if number.isdecimal() else 0
 
 
+def _order_of(order: Union[str, int, None]) -> Any:
+    """The order by its number, or by a word of the command line: "value"."""
+    words = {"time": v1.LIST_CHECKS_ORDER_BY_TIME,
+             "value": v1.LIST_CHECKS_ORDER_BY_VALUE}
+    if isinstance(order, str) and order not in words:
+        raise ValueError(f"order is {order!r}: expected one of {', '.join(words)}")
+    return words[order] if isinstance(order, str) else order
+
+
 class CheckPages:
     """The checks of a list, page by page."""
 
-    def __init__(self, vehicle: str, wanted: v1.CandidateFilter) -> None:
-        self._pages: Pages[v1.Check] = Pages("ListChecks", v1.ListChecksRequest(
-            parent=vehicle_name(vehicle), page_size=_CHECKS_PAGE, filter=wanted),
-            "checks", order=_check_order,
-            most_empty_pages=_MOST_EMPTY_PAGES_OF_CHECKS)
+    def __init__(self, vehicle: str, wanted: v1.CandidateFilter,
+                 order: Union[str, int, None] = None, fresh_only: bool = False,
+                 looks_per_kilometer: int = 0) -> None:
+        request = v1.ListChecksRequest(
+            parent=vehicle_name(vehicle), page_size=_CHECKS_PAGE, filter=wanted,
+            order=_order_of(order), fresh_only=fresh_only,
+            looks_per_kilometer=looks_per_kilometer)
+        self._pages: Pages[v1.Check] = Pages(
+            "ListChecks", request, "checks", order=_check_order,
+            most_empty_pages=_MOST_EMPTY_PAGES_OF_CHECKS,
+            is_changing=request.order == v1.LIST_CHECKS_ORDER_BY_VALUE)
         #: Of the pages that were read, those that nobody has taken yet.
         self.checks: collections.deque[v1.Check] = collections.deque()
         #: Of the first page; None before it was read.

@@ -12,7 +12,7 @@ from typing import Any, Callable, Generic, Optional, TypeVar, Union
 from google.protobuf.timestamp_pb2 import Timestamp
 
 from revisit import v1
-from revisit._calls import CheckPages, vehicle_of
+from revisit._calls import CheckPages, evidence_of, vehicle_of
 from revisit._stream_state import worth_another_connection
 from revisit.backoff import Backoff, BackoffOptions
 from revisit.channel import PathLike
@@ -37,7 +37,8 @@ class EventFields:
     #: The candidate as it is from this event on, with its name and its state. None if
     #: the vehicle was deleted.
     candidate: Optional[v1.CheckCandidate]
-    #: What the search found, with the nodes of both places. None with `candidate`.
+    #: What the last search that found it did, with the nodes of both places. None with
+    #: `candidate`.
     evidence: Optional[v1.Candidate]
     #: The revision at which it was found; 0 if the vehicle was deleted.
     revision: int
@@ -57,6 +58,14 @@ class EventFields:
     #: cursor cannot be served; vehicles that were deleted before are not told then.
     resynchronised: bool
     event_time: Timestamp
+
+    @property
+    def is_contradicted(self) -> bool:
+        """Whether the candidate is open once more because the loop closure that
+        confirmed it contradicts others, which agree with each other."""
+        return (self.candidate is not None
+                and self.candidate.state == v1.CANDIDATE_STATE_OPEN
+                and self.candidate.cause == v1.CANDIDATE_CAUSE_CONTRADICTION)
 
 
 _Event = TypeVar("_Event", bound=EventFields)
@@ -83,20 +92,24 @@ def _matches(wanted: v1.CandidateFilter, candidate: v1.CheckCandidate,
              evidence: v1.Candidate) -> bool:
     return ((not wanted.states or candidate.state in wanted.states)
             and (not wanted.verdicts or evidence.verdict in wanted.verdicts)
-            and evidence.probability >= wanted.least_probability)
+            and evidence.probability >= wanted.least_probability
+            and candidate.value_square_meters >= wanted.least_value_square_meters)
 
 
 def _listed(check: v1.Check, wanted: v1.CandidateFilter) -> Iterator[dict[str, Any]]:
     """The candidates of a check that match, without the cursor."""
-    found = {candidate.rank: candidate for candidate in check.candidates.candidates}
     for candidate in check.states:
-        evidence = found.get(candidate.rank)
+        evidence = evidence_of(check, candidate)
         if evidence is None:
-            raise Internal(f"{candidate.name} has the rank {candidate.rank}, which "
-                           "its check has not")
+            if candidate.rank or candidate.latest_rank:
+                raise Internal(f"{candidate.name} has the ranks {candidate.rank} and "
+                               f"{candidate.latest_rank}, which its check has not")
+            # Neither the first search of the check nor the last one found it.
+            evidence = v1.Candidate()
+        found = check.latest if candidate.latest_rank else check.candidates
         if _matches(wanted, candidate, evidence):
             yield {"vehicle": vehicle_of(check.name), "candidate": candidate,
-                   "evidence": evidence, "revision": check.candidates.revision,
+                   "evidence": evidence, "revision": found.revision,
                    "vehicle_deleted": False, "vehicle_uid": check.vehicle_uid,
                    "number": candidate.event_number,
                    "resynchronised": True, "event_time": candidate.update_time}

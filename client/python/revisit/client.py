@@ -297,6 +297,12 @@ class Client:
         """Removes a loop closure, by its resource name, and its edge."""
         self._run(_calls.delete_loop_closure(name))
 
+    def find_contradictions(self, vehicle: str) -> list[v1.Contradiction]:
+        """The loop closures of a vehicle that contradict others which agree with each
+        other, the least probable first: most likely the verifier was wrong. Nothing is
+        changed."""
+        return self._run(_calls.find_contradictions(vehicle))
+
     def reject_candidate(self, vehicle: str,
                          query: Union[int, v1.Candidate, v1.RejectedCandidate],
                          matched: Optional[int] = None, *, note: str = "",
@@ -332,22 +338,34 @@ class Client:
         return self._run(_calls.get_check(name))
 
     def list_checks(self, vehicle: str = "-", *, states: Words = None,
-                    verdicts: Words = None, least_probability: Optional[float] = None
-                    ) -> CheckList:
+                    verdicts: Words = None, least_probability: Optional[float] = None,
+                    least_value: Optional[float] = None,
+                    order: Union[str, int, None] = None, fresh_only: bool = False,
+                    looks_per_kilometer: int = 0) -> CheckList:
         """Stored checks of a vehicle by sequence, or of all vehicles that the caller
         may read, that have a candidate of one of these states and verdicts, at least so
-        probable. Each has all of its candidates.
+        probable, of which a look is worth at least so much
+        (v1.CheckCandidate.value_square_meters). Each has all of its candidates:
+        `evidence_of(check, state)` is what the last search found of one.
 
-            open_ones = client.list_checks("shuttle-7", states="open")
+            open_ones = client.list_checks("shuttle-7", states="open", order="value")
+
+        The order is by "time" or, of one vehicle, by "value": the most valuable open
+        candidate first. Then `looks_per_kilometer` marks the most valuable of each
+        kilometre as `recommended`. A check that moves while the list is read comes
+        once. `fresh_only` leaves out those that wait to be searched again.
 
         The list's `watch_cursor()` is where `watch()` goes on."""
-        wanted = _calls.candidate_filter(None, states, verdicts, least_probability)
-        return CheckList(self, _calls.CheckPages(vehicle, wanted))
+        wanted = _calls.candidate_filter(None, states, verdicts, least_probability,
+                                         least_value)
+        return CheckList(self, _calls.CheckPages(vehicle, wanted, order, fresh_only,
+                                                 looks_per_kilometer))
 
     def watch(self, vehicles: Vehicles = None, *, cursor: Optional[str] = None,
               cursor_file: Union[CursorFile, PathLike, None] = None,
               states: Words = None, verdicts: Words = None,
               least_probability: Optional[float] = None,
+              least_value: Optional[float] = None,
               from_start: bool = False) -> Watch:
         """Every change of a stored candidate, without end: of these vehicles, at most
         100, or of all that the caller may read; those of a vehicle in their order.
@@ -366,11 +384,12 @@ class Client:
         gave up (SLOW_CONSUMER), it is made again with the client's back-off, however
         often. Where the cursor cannot be served (CURSOR_TOO_OLD, CURSOR_UNKNOWN), all
         stored candidates come as events that are `resynchronised`, then what changes
-        from then on. Deletions of vehicles come whatever the states, verdicts and
-        probability are. Connects once it is iterated; the first connection too is
-        tried for ever."""
+        from then on. Deletions of vehicles come whatever the states, verdicts,
+        probability and value are. Connects once it is iterated; the first connection is
+        tried for ever too."""
         watch = Watch(self, self._channels, self._caller, WatchState(
-            _calls.candidate_filter(vehicles, states, verdicts, least_probability),
+            _calls.candidate_filter(vehicles, states, verdicts, least_probability,
+                                    least_value),
             cursor=cursor, cursor_file=cursor_file, from_start=from_start,
             backoff=self._options.backoff,
             make=functools.partial(WatchEvent, client=self)))

@@ -231,6 +231,9 @@ class Client:
     async def delete_loop_closure(self, name: str) -> None:
         await self._run(_calls.delete_loop_closure(name))
 
+    async def find_contradictions(self, vehicle: str) -> list[v1.Contradiction]:
+        return await self._run(_calls.find_contradictions(vehicle))
+
     async def reject_candidate(self, vehicle: str,
                                query: Union[int, v1.Candidate, v1.RejectedCandidate],
                                matched: Optional[int] = None, *, note: str = "",
@@ -256,18 +259,24 @@ class Client:
         return await self._run(_calls.get_check(name))
 
     def list_checks(self, vehicle: str = "-", *, states: Words = None,
-                    verdicts: Words = None, least_probability: Optional[float] = None
-                    ) -> CheckList:
-        wanted = _calls.candidate_filter(None, states, verdicts, least_probability)
-        return CheckList(self, _calls.CheckPages(vehicle, wanted))
+                    verdicts: Words = None, least_probability: Optional[float] = None,
+                    least_value: Optional[float] = None,
+                    order: Union[str, int, None] = None, fresh_only: bool = False,
+                    looks_per_kilometer: int = 0) -> CheckList:
+        wanted = _calls.candidate_filter(None, states, verdicts, least_probability,
+                                         least_value)
+        return CheckList(self, _calls.CheckPages(vehicle, wanted, order, fresh_only,
+                                                 looks_per_kilometer))
 
     def watch(self, vehicles: Vehicles = None, *, cursor: Optional[str] = None,
               cursor_file: Union[CursorFile, PathLike, None] = None,
               states: Words = None, verdicts: Words = None,
               least_probability: Optional[float] = None,
+              least_value: Optional[float] = None,
               from_start: bool = False) -> Watch:
         watch = Watch(self, self._channels, self._caller, WatchState(
-            _calls.candidate_filter(vehicles, states, verdicts, least_probability),
+            _calls.candidate_filter(vehicles, states, verdicts, least_probability,
+                                    least_value),
             cursor=cursor, cursor_file=cursor_file, from_start=from_start,
             backoff=self._options.backoff,
             make=functools.partial(WatchEvent, client=self)))

@@ -13,14 +13,14 @@ import grpc
 from numpy.typing import ArrayLike
 
 from revisit import v1, watch
-from revisit._calls import CheckPages
+from revisit._calls import CheckPages, closure_of
 from revisit._watch_state import ANSWER_SECONDS, EventFields, WatchState
 from revisit.aio._channels import AioChannels
 from revisit.aio._signal import Signal
 from revisit.aio.pose_stream import document
 from revisit.channel import Caller, Lease, stub_of
 from revisit.errors import Cancelled, Error, Unavailable, from_rpc_error
-from revisit.watch import decided
+from revisit.watch import contradicted, decided
 
 if TYPE_CHECKING:
     from revisit.aio.client import Client
@@ -69,6 +69,24 @@ class WatchEvent(EventFields):
         name, evidence = decided(self)
         return await self.client.reject_candidate(self.vehicle, evidence, note=note,
                                                   candidate=name)
+
+    async def contradicted_closure(self) -> v1.LoopClosure:
+        candidate, evidence = contradicted(self)
+        closures = [one async for one in
+                    self.client.list_loop_closures(self.vehicle)]
+        found = closure_of(candidate, evidence, closures) or closure_of(
+            candidate, evidence, closures,
+            await self.client.find_contradictions(self.vehicle))
+        if found is None:
+            raise LookupError(f"the loop closure that confirmed {candidate.name} is "
+                              "gone, or contradicts nothing any more")
+        return found
+
+    async def uphold(self) -> v1.AddLoopClosureResponse:
+        closure = await self.contradicted_closure()
+        return await self.client.add_loop_closure(
+            self.vehicle, closure, candidate=decided(self)[0],
+            loop_closure_id=closure.name.rpartition("/")[2])
 
 
 class _Connection:
