@@ -6,7 +6,7 @@ import {join} from 'node:path';
 import {after, before, test} from 'node:test';
 import {setTimeout as sleep} from 'node:timers/promises';
 
-import {DRIVE, isAccessible, Issuer, OUT, until, World} from './world.mjs';
+import {DRIVE, isAccessible, Issuer, load, OUT, until, World} from './world.mjs';
 
 const POLICY = {
   version: 1,
@@ -25,6 +25,7 @@ const LIST = /\/ListChecks$/;
 
 const issuer = new Issuer();
 let world;
+let messages;
 
 /** The command line as one of those whom the policy names. */
 function cli(subject, ...args) {
@@ -34,6 +35,10 @@ function cli(subject, ...args) {
 }
 
 before(async () => {
+  messages = await load(
+      'gen/revisit/v1/pose_graph_service_pb.ts',
+      `export {fromBinary, fromJson, toBinary} from '@bufbuild/protobuf';
+       export {CheckSchema} from './gen/revisit/v1/check_pb.ts';`);
   world = await World.make(directory => issuer.flags(directory, POLICY));
   for (const id of ['acme-1', 'acme-2']) {
     cli('operator', 'vehicle', 'create', id, '--checks', 'stored');
@@ -84,8 +89,8 @@ const cells = (page, row = page.locator('tr[aria-current]')) =>
 const column = (page, number) => page.locator(
     `tbody tr:not(.space) td:nth-child(${number})`).allInnerTexts();
 
-test('it lists what is open, the newest first or the most probable, as the ' +
-     'address has it', async () => {
+test('it lists what is open, the most valuable first or by another order, as ' +
+     'the address has it', async () => {
   const page = await world.open('/', as('verifier'));
   await page.getByRole('link', {name: 'Queue'}).click();
   await page.locator('tr[aria-current]').waitFor();
@@ -99,15 +104,20 @@ test('it lists what is open, the newest first or the most probable, as the ' +
   await page.keyboard.press('Enter');
   await until(async () => await openCount(page) <
       candidatesIn('OPEN').length / 2, 'probable ones');
+  const valuesOf = async number => (await column(page, number)).map(
+      text => Number(text.replace(/> 0.999/, '1').replace(/[^\d.]/g, '')));
+  const descending = values => [...values].sort((a, b) => b - a);
+  const byValue = await valuesOf(6);
+  assert.deepEqual(byValue, descending(byValue));
+  assert.ok(byValue[0] > byValue.at(-1));
   await page.getByLabel('Order').selectOption('probable');
   assert.match(page.url(), /vehicle=acme-2/);
   assert.match(page.url(), /least=0\.9/);
   assert.match(page.url(), /order=probable/);
   await page.reload();
   await page.locator('tr[aria-current]').waitFor();
-  const values = (await column(page, 5)).map(
-      text => Number(text.replace('> 0.999', '1')));
-  assert.deepEqual(values, [...values].sort((a, b) => b - a));
+  const values = await valuesOf(5);
+  assert.deepEqual(values, descending(values));
   assert.ok(values.length > 5 && values.every(value => value >= 0.9));
   assert.deepEqual(page.complaints, []);
   await page.context().close();
@@ -129,7 +139,7 @@ test('it is accessible, light or dark, wide or narrow', async () => {
 });
 
 test('what a key does is done to the candidate that is looked at', async () => {
-  const page = await open('/queue?vehicle=acme-1');
+  const page = await open('/queue?vehicle=acme-1&order=newest');
   const first = chosen(page);
   await page.keyboard.press('j');
   const second = chosen(page);
@@ -183,8 +193,8 @@ test('what a key does is done to the candidate that is looked at', async () => {
 });
 
 test('a decision of somebody else is seen live, and fades', async () => {
-  const page = await open('/queue?vehicle=acme-1', 'reader');
-  const other = await open('/queue?vehicle=acme-1');
+  const page = await open('/queue?vehicle=acme-1&order=newest', 'reader');
+  const other = await open('/queue?vehicle=acme-1&order=newest');
   const name = chosen(page);
   const [query] = await cells(page);
   assert.equal(chosen(other), name);
@@ -210,7 +220,7 @@ test('a decision of somebody else is seen live, and fades', async () => {
 
 test('who may only read is told so once, and has no keys to decide then',
      async () => {
-  const page = await open('/queue?vehicle=acme-1', 'reader');
+  const page = await open('/queue?vehicle=acme-1&order=newest', 'reader');
   await page.keyboard.press('c');
   await page.locator('.decision .error', {hasText: 'permission denied'}).first()
       .waitFor();
@@ -230,7 +240,7 @@ test('who may only read is told so once, and has no keys to decide then',
 
 test('what is found meanwhile comes above, and moves no key to another one',
      async () => {
-  const page = await open('/queue', 'reader');
+  const page = await open('/queue?order=newest', 'reader');
   const before = await openCount(page);
   const name = chosen(page);
   const marked = await cells(page);
@@ -255,7 +265,7 @@ test('what is found meanwhile comes above, and moves no key to another one',
 });
 
 test('out of view it watches nothing, and catches up in view', async () => {
-  const page = await open('/queue?vehicle=acme-1', 'reader');
+  const page = await open('/queue?vehicle=acme-1&order=newest', 'reader');
   const [query, match] = (await cells(page)).map(
       text => text.replaceAll(',', ''));
   await openCount(page);
@@ -305,7 +315,7 @@ test('what is open is saved as SVG and as PNG', async () => {
 });
 
 test('after a break it goes on from its cursor', async () => {
-  const page = await open('/queue?vehicle=acme-1', 'reader');
+  const page = await open('/queue?vehicle=acme-1&order=newest', 'reader');
   const lists = [];
   page.on('request', request => {
     if (LIST.test(request.url())) lists.push(request.url());
@@ -339,7 +349,7 @@ test('a cursor that the server has no longer lets it list anew', async () => {
   await page.route(WATCH, route => route.fulfill({
     contentType: 'application/connect+proto',
     body: Buffer.concat([head, end])}), {times: 1});
-  await page.goto(`${world.console.url}/queue?vehicle=acme-1`);
+  await page.goto(`${world.console.url}/queue?vehicle=acme-1&order=newest`);
   await page.locator('tr[aria-current]').waitFor();
   assert.ok(await openCount(page) > 0);
   assert.equal(lists, 2);
@@ -347,11 +357,83 @@ test('a cursor that the server has no longer lets it list anew', async () => {
   await page.context().close();
 });
 
+/** Has the page be told of the first candidate of a check as if its loop closure
+ * contradicted others, and a second search had found it less probable. */
+async function contradict(page, sequence) {
+  await page.route(LIST, async route => {
+    const response = await route.fetch();
+    const {ListChecksResponseSchema: schema, fromBinary, toBinary} = messages;
+    const list = fromBinary(schema, await response.body());
+    const check = messages.fromJson(messages.CheckSchema, cli(
+        'operator', 'checks', 'acme-2', '--sequence', sequence, '--json'));
+    check.latest = structuredClone(check.candidates);
+    check.latest.candidates[0].probability = 0.25;
+    check.stale = true;
+    Object.assign(check.states[0], {
+      state: 1, cause: 7, decision: '', latestRank: 1,
+      valueSquareMeters: 1e6});
+    list.checks = [
+      check, ...list.checks.filter(({name}) => name !== check.name)];
+    const body = Buffer.from(toBinary(schema, list));
+    await route.fulfill({response, body, headers: {
+      'content-type': 'application/proto'}});
+  });
+}
+
+test('a contradicted one is upheld, or given up, and says what was told then',
+     async () => {
+  const first = cli('operator', 'checks', 'acme-2', '--json').checks.find(
+      ({states}) => states[0].state === 'CANDIDATE_STATE_OPEN');
+  const sequence = first.name.split('/').at(-1);
+  const {query, matched} = first.candidates.candidates[0];
+  const pair = [query.sequence, matched.sequence];
+  cli('operator', 'confirm', 'acme-2', ...pair, '--note', 'by eye');
+  const page = await world.browser.newPage(as('verifier'));
+  await contradict(page, sequence);
+  const show = async () => {
+    await page.goto(`${world.console.url}/queue?vehicle=acme-2`);
+    await page.locator('tr[aria-current]', {hasText: 'contradicted, stale'})
+        .waitFor();
+  };
+  await show();
+  assert.deepEqual(
+      (await page.getByLabel('Both searches').locator('tr').allInnerTexts())
+          .slice(0, 2).map(text => text.trim().split(/\s*\t\s*/)),
+      [['Told then', 'Found now'],
+       ['Probability', Number(first.candidates.candidates[0].probability)
+           .toFixed(3).replace('1.000', '> 0.999'), '0.250']]);
+  await page.getByText('To uphold it keeps it').waitFor();
+  await page.screenshot({path: join(OUT, 'queue-contradicted.png')});
+  await page.getByRole('button', {name: 'Uphold'}).waitFor();
+  await page.keyboard.press('c');
+  await page.getByText('Upheld the loop closure of').first().waitFor();
+  // It is the one that was there, so there is nothing to undo.
+  const [closure, ...others] = closures('acme-2');
+  assert.deepEqual([closure.note, others], ['by eye', []]);
+  assert.ok(await page.getByRole('button', {name: /^Undo/}).isDisabled());
+  // Given up, it is deleted; and undone, it is there again.
+  await show();
+  await page.keyboard.press('r');
+  await page.locator('.decision > [role=status]', {hasText: 'Rejected'})
+      .waitFor();
+  assert.deepEqual(closures('acme-2'), []);
+  assert.equal(rejections('acme-2').length, 1);
+  await page.keyboard.press('u');
+  await page.locator('.decision > [role=status]', {hasText: 'Undone'})
+      .waitFor();
+  assert.deepEqual(closures('acme-2').map(({name, note}) => [name, note]),
+                   [[closure.name, 'by eye']]);
+  assert.deepEqual(rejections('acme-2'), []);
+  cli('operator', 'closures', 'delete', 'acme-2', ...pair);
+  await page.close();
+});
+
 test('the queue of a drive is worked through by keyboard', async () => {
   const page = await open('/queue?vehicle=acme-1&order=probable');
   const of = state => candidatesIn(state).filter(
       ({name}) => name.startsWith('vehicles/acme-1/'));
-  const all = of('OPEN').length;
+  const names = of('OPEN').map(({name}) => name);
+  const all = names.length;
   assert.ok(all > 50, `${all}`);
   let pressed = 0;
   while (await page.locator('tbody tr:not(.leaving, .space)').count() > 0) {
@@ -367,7 +449,10 @@ test('the queue of a drive is worked through by keyboard', async () => {
   await page.getByText('Nothing waits for a decision.').waitFor();
   assert.equal(await openCount(page), 0);
   assert.deepEqual(of('OPEN'), []);
-  assert.equal(of('CONFIRMED').length + of('REJECTED').length, all);
+  // Second searches withdraw some, and find others.
+  const ended = new Set([...of('CONFIRMED'), ...of('REJECTED'),
+                         ...of('WITHDRAWN')].map(({name}) => name));
+  assert.deepEqual(names.filter(name => !ended.has(name)), []);
   // Each decision is on record, by who made it.
   const made = [...closures('acme-1'), ...rejections('acme-1')];
   assert.ok(made.length > 20 && made.length <= pressed, `${made.length}`);

@@ -5,6 +5,7 @@ import {before, test} from 'node:test';
 import {load} from './world.mjs';
 
 const [OPEN, CONFIRMED, REJECTED, WITHDRAWN] = [1, 2, 3, 4];
+const [CHECK, SEARCH, CONTRADICTION] = [1, 6, 7];
 
 let queues;
 before(async () => {
@@ -127,6 +128,81 @@ test('probability is an order, and the newest come first among equals', () => {
               0, false);
   assert.deepEqual(shown(queue, 'probable'),
                    ['a 2 1', 'b 4 1', 'a 1 1', 'b 3 1']);
+});
+
+test('value is the first order, as of the last list or event', () => {
+  const queue = new queues.Queue(100);
+  const valued = (sequence, number, valueSquareMeters) => {
+    const one = check('a', sequence, OPEN, number);
+    Object.assign(one.states[0], {valueSquareMeters});
+    return one;
+  };
+  queue.begin([valued(1, 1, 0.5), valued(2, 2, 2), valued(3, 3, 0.5)], 0,
+              false);
+  assert.deepEqual(shown(queue, 'value'), ['a 2 1', 'a 3 1', 'a 1 1']);
+  queue.take(event('a', 1, OPEN, 4, {valueSquareMeters: 3}), 0);
+  assert.deepEqual(shown(queue, 'value'), ['a 1 1', 'a 2 1', 'a 3 1']);
+  // A decision made the others worth less. It is of a list that was read before
+  // an event, and knows of one that the page does not show.
+  queue.take(event('a', 3, CONFIRMED, 5, {valueSquareMeters: 0.5}), 100);
+  queue.renew([valued(1, 1, 9), valued(2, 2, 0.1), valued(3, 3, 9),
+               valued(4, 6, 9)]);
+  assert.deepEqual(shown(queue, 'value'), ['a 1 1', 'a 3 2', 'a 2 1']);
+  assert.deepEqual([...queue.values].map(({value}) => value).sort(),
+                   [0.1, 0.5, 3]);
+});
+
+/** A check whose second search found its first candidate less probable, and one
+ * more; and lost the third, which only a search between had found. */
+function searchedAgain(isStale) {
+  const one = check('a', 10, OPEN, 1, 0.9);
+  one.stale = isStale;
+  one.latest = {candidates: [{...evidence(10, 0.2), rank: 2},
+                             {...evidence(10, 0.7), rank: 1}]};
+  Object.assign(one.states[0], {latestRank: 2});
+  const more = (number, latestRank) => ({
+    ...candidate('a', 10, OPEN, 2), rank: 0, latestRank,
+    cause: SEARCH, name: `vehicles/a/checks/10/candidates/${number}`});
+  one.states.push(more(2, 1), more(3, 0));
+  return one;
+}
+
+test('what was told then and what is found now are kept apart', () => {
+  const queue = new queues.Queue(100);
+  queue.begin([searchedAgain(true)], 0, false);
+  const seen = () => [...queue.values].map(
+      ({told, evidence: found, isSearchedAgain, isStale}) =>
+          [told?.probability, found.probability, isSearchedAgain, isStale]);
+  assert.deepEqual(seen(), [[0.9, 0.2, true, true],
+                            [undefined, 0.7, true, true]]);
+  // A least probability is that of the last search.
+  queue.begin([searchedAgain(false)], 0.5, false);
+  assert.deepEqual(seen(), [[undefined, 0.7, true, false]]);
+});
+
+test('an event of a second search adds to what was told', () => {
+  const queue = new queues.Queue(100);
+  const first = check('a', 10, OPEN, 1, 0.9);
+  first.stale = true;
+  queue.begin([first], 0, false);
+  queue.take(event('a', 10, OPEN, 2, {cause: SEARCH, latestRank: 1}, 0.3), 0);
+  const [one] = queue.values;
+  assert.deepEqual([one.told.probability, one.evidence.probability,
+                    one.isSearchedAgain, one.isStale],
+                   [0.9, 0.3, true, false]);
+  // Of one that comes with its first search, nothing else was told.
+  queue.take(event('a', 20, OPEN, 3, {cause: CHECK, latestRank: 0}, 0.6), 0);
+  const two = [...queue.values].find(({asked}) => asked === 20);
+  assert.deepEqual([two.told.probability, two.isSearchedAgain], [0.6, false]);
+});
+
+test('a contradicted one is known while it is open', () => {
+  const queue = new queues.Queue(100);
+  queue.take(event('a', 10, OPEN, 2, {cause: CONTRADICTION}), 0);
+  const [{key}] = queue.values;
+  assert.equal(queues.isContradicted([...queue.values][0]), true);
+  queue.settle(key, CONFIRMED, 'closure', 500);
+  assert.equal(queues.isContradicted([...queue.values][0]), false);
 });
 
 test('the row that is looked at stays, or the next one below takes its place',

@@ -48,7 +48,7 @@ export interface Undone extends Decision {
 export interface Deed {
   /** Its number among those of the page. */
   id: number;
-  act: 'confirm'|'reject'|'undo';
+  act: 'confirm'|'uphold'|'reject'|'undo';
   /** The pair that was decided about. */
   pair: Pair;
   /** Key of the pair that was shown then: there the outcome is told. */
@@ -61,6 +61,11 @@ export interface Deed {
   /** Resource name of what was made. */
   made?: string;
 }
+
+/** What a deed does, as people say that it was done. */
+export const VERBS: Record<Deed['act'], string> = {
+  confirm: 'confirmed', uphold: 'upheld', reject: 'rejected', undo: 'undone',
+};
 
 function asDecision(kind: Decision['kind'],
                     made: LoopClosure|RejectedCandidate): Decision {
@@ -272,9 +277,8 @@ export class DecisionBook {
       ++this.changes;
       end({state: 'done', ...done});
     } catch (error) {
-      const verb = {confirm: 'confirmed', reject: 'rejected', undo: 'undone'};
       end({state: 'failed', text: `${pairName(deed.pair)} was not ${
-          verb[deed.act]}: ${messageOf(error)}`});
+          VERBS[deed.act]}: ${messageOf(error)}`});
     }
     this.changed();
     this.renewUndone();

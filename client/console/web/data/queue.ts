@@ -3,7 +3,7 @@
 // here.
 import {timestampMs} from '@bufbuild/protobuf/wkt';
 
-import type {Candidate} from '../../gen/revisit/v1/candidate_pb.js';
+import type {Candidate, CandidateSet} from '../../gen/revisit/v1/candidate_pb.js';
 import {CandidateCause, type CandidateEvent, CandidateState, type Check,
         type CheckCandidate} from '../../gen/revisit/v1/check_pb.js';
 
@@ -21,7 +21,18 @@ export interface Waiting {
   vehicleUid: string;
   /** The pose at which the check was due. */
   asked: number;
+  /** What the last search that found it did. */
   evidence: Candidate;
+  /** What the first search of its check did; undefined where only a later one
+   * found it, and where nothing has told the page. */
+  told: Candidate|undefined;
+  /** Whether its check was searched again. */
+  isSearchedAgain: boolean;
+  /** Whether its check waits to be searched again, as of the last list. */
+  isStale: boolean;
+  /** What a look at it is worth, in square metres, as of the last list or
+   * event. */
+  value: number;
   state: CandidateState;
   cause: CandidateCause;
   /** Who caused the state; empty where no caller did, or nobody was asked. */
@@ -36,27 +47,54 @@ export interface Waiting {
   left: number|undefined;
 }
 
-export type Order = 'newest'|'probable';
+export type Order = 'value'|'newest'|'probable';
 
 function waiting(vehicleUid: string, candidate: CheckCandidate,
                  evidence: Candidate, found: number): Waiting {
-  const {name, state, cause, actor, decision, eventNumber} = candidate;
+  const {name, state, cause, actor, decision, eventNumber, latestRank,
+         valueSquareMeters} = candidate;
   const [, vehicle, , asked] = name.split('/');
   return {key: `${vehicleUid} ${name}`, name, vehicle, vehicleUid,
           asked: Number(asked), evidence, state, cause, actor, decision,
-          eventNumber, found, left: undefined};
+          eventNumber, found, left: undefined,
+          // The first search is the last one until there is another.
+          told: cause === CandidateCause.CHECK && !latestRank ? evidence :
+                                                                undefined,
+          isSearchedAgain: latestRank > 0 || cause === CandidateCause.SEARCH,
+          isStale: false, value: valueSquareMeters ?? 0};
+}
+
+/** A candidate of a list; undefined where no search that the list has tells its
+ * two places. */
+function listed(check: Check, candidate: CheckCandidate): Waiting|undefined {
+  const ofRank = (set: CandidateSet|undefined, rank: number) =>
+      rank > 0 ? set?.candidates.find(found => found.rank === rank) : undefined;
+  const told = ofRank(check.candidates, candidate.rank);
+  const evidence = ofRank(check.latest, candidate.latestRank) ?? told;
+  if (!evidence) return undefined;
+  const found = check.createTime ? timestampMs(check.createTime) : 0;
+  return {...waiting(check.vehicleUid, candidate, evidence, found), told,
+          isSearchedAgain: check.latest !== undefined, isStale: check.stale};
 }
 
 export function isOpen({state}: Waiting): boolean {
   return state === CandidateState.OPEN;
 }
 
-/** The order that is asked for. It rests on nothing that changes while a
- * candidate is shown, so that no row moves under somebody's fingers. */
+/** Whether it is open once more because the loop closure that confirmed it
+ * contradicts others. */
+export function isContradicted(one: Waiting): boolean {
+  return isOpen(one) && one.cause === CandidateCause.CONTRADICTION;
+}
+
+/** The order that is asked for. A row moves only where what it rests on has
+ * changed: a second search found another probability, or a decision made another
+ * value of it. The row that is looked at is followed. */
 export function ordered(all: Iterable<Waiting>, order: Order): Waiting[] {
-  return [...all].sort((a, b) =>
-      (order === 'probable' ?
-           (b.evidence.probability ?? 0) - (a.evidence.probability ?? 0) : 0) ||
+  const rankOf = ({evidence, value}: Waiting) =>
+      order === 'value' ? value :
+      order === 'probable' ? evidence.probability ?? 0 : 0;
+  return [...all].sort((a, b) => rankOf(b) - rankOf(a) ||
       b.found - a.found || a.vehicle.localeCompare(b.vehicle, 'en') ||
       b.asked - a.asked || a.name.localeCompare(b.name, 'en', {numeric: true}));
 }
@@ -117,20 +155,35 @@ export class Queue {
     this.told.clear();
     this.isCut = isCut;
     for (const check of checks) {
-      const found = check.createTime ? timestampMs(check.createTime) : 0;
       for (const candidate of check.states) {
-        const evidence = check.candidates?.candidates.find(
-            ({rank}) => rank === candidate.rank);
-        if (candidate.state !== CandidateState.OPEN || !evidence ||
-            (evidence.probability ?? 0) < leastProbability) {
+        const one = listed(check, candidate);
+        if (!one || !isOpen(one) ||
+            (one.evidence.probability ?? 0) < leastProbability) {
           continue;
         }
-        const one = waiting(check.vehicleUid, candidate, evidence, found);
         if (this.openCountIsMost()) {
           this.isCut = true;
           return;
         }
         this.all.set(one.key, one);
+      }
+    }
+  }
+
+  /** Takes over what a later list tells of those that are shown: values, and
+   * what second searches found. Events tell who comes and goes. */
+  renew(checks: readonly Check[]): void {
+    for (const check of checks) {
+      for (const candidate of check.states) {
+        const one = listed(check, candidate);
+        const before = one && this.all.get(one.key);
+        if (!before || !isOpen(before) ||
+            before.eventNumber > one.eventNumber) {
+          continue;
+        }
+        const {evidence, told, isSearchedAgain, isStale, value} = one;
+        this.all.set(one.key, {...before, evidence, told, isSearchedAgain,
+                               isStale, value});
       }
     }
   }
@@ -148,6 +201,10 @@ export class Queue {
     const before = this.all.get(one.key);
     if (before && before.eventNumber >= number) return;
     one.found = before?.found ?? this.found.get(one.key) ?? one.found;
+    one.told ??= before?.told;
+    one.isSearchedAgain ||= before?.isSearchedAgain ?? false;
+    one.isStale = one.cause !== CandidateCause.SEARCH &&
+        (before?.isStale ?? false);
     one.eventNumber = number;
     if (isOpen(one)) {
       if (!before && this.openCountIsMost()) {

@@ -3,17 +3,22 @@
 import {Code, ConnectError} from '@connectrpc/connect';
 import {batch, signal} from '@preact/signals';
 
-import {CandidateState, type Check} from '../../gen/revisit/v1/check_pb.js';
+import {CandidateCause, CandidateState, type Check} from
+    '../../gen/revisit/v1/check_pb.js';
+import type {LoopClosure} from '../../gen/revisit/v1/loop_closure_pb.js';
+import {ListChecksOrder} from
+    '../../gen/revisit/v1/pose_graph_service_pb.js';
 import {StoredChecks, type Vehicle} from '../../gen/revisit/v1/vehicle_pb.js';
 import {allPages, messageOf, repeat, service, token} from './client.js';
-import {pairName, type Deed} from './decisions.js';
-import {isOpen, Queue, type Waiting} from './queue.js';
+import {pairName, type Deed, VERBS} from './decisions.js';
+import {isContradicted, isOpen, Queue, type Waiting} from './queue.js';
 
 /** At most so many are listed: of more, vehicle and probability choose. */
 export const MOST_WAITING = 2000;
 /** A check takes some seven kilobytes in a list. */
 const CHECKS_A_PAGE = 250;
 const VEHICLES_A_PAGE = 1000;
+const CLOSURES_A_PAGE = 1000;
 const VEHICLES_MILLISECONDS = 5000;
 const RETRY_MILLISECONDS = 1000;
 /** The server tells something each ten seconds or so. Where nothing comes for so
@@ -24,6 +29,14 @@ const LASTING = new Set([Code.Unauthenticated, Code.PermissionDenied,
                          Code.NotFound, Code.Unimplemented,
                          Code.InvalidArgument]);
 const LASTING_RETRY_MILLISECONDS = 10_000;
+/** How long after a decision the values are read again, and how often at most:
+ * second searches follow it within some seconds. */
+const RENEW_MILLISECONDS = 2000;
+const RENEW_INTERVAL_MILLISECONDS = 10_000;
+/** What the values of other candidates rest on has changed with these. */
+const CHANGE_VALUES = new Set([CandidateCause.LOOP_CLOSURE,
+                               CandidateCause.DELETION,
+                               CandidateCause.SEARCH]);
 const PUBLISH_MILLISECONDS = 50;
 const SWEEP_MILLISECONDS = 250;
 
@@ -31,11 +44,16 @@ export interface QueueFilter {
   /** Id of a vehicle; undefined for all. */
   vehicle: string|undefined;
   leastProbability: number;
+  /** Whether the most valuable come first: then values are renewed as decisions
+   * change them. */
+  byValue: boolean;
 }
 
 /** Something that was done in the queue. `at` is the key of the candidate. */
 export interface QueueDeed extends Deed {
   candidate: Waiting;
+  /** The loop closure that was deleted before the candidate was rejected. */
+  deleted?: LoopClosure;
 }
 
 /** All that was done since the page was loaded, the last at the end: it outlives
@@ -60,8 +78,38 @@ export function lastDecision(): QueueDeed|undefined {
   const undone = (deed: QueueDeed) => deeds.value.some(
       ({id, act, state, made}) => act === 'undo' && state !== 'failed' &&
           id > deed.id && made === deed.made);
+  // A loop closure that was upheld was there before, and stays.
   return deeds.value.filter(deed =>
-      deed.act !== 'undo' && deed.made !== undefined && !undone(deed)).at(-1);
+      deed.act !== 'undo' && deed.act !== 'uphold' && deed.made !== undefined && !undone(deed)).at(-1);
+}
+
+const DONE: Record<Deed['act'], string> = {
+  confirm: 'Confirmed', uphold: 'Upheld the loop closure of',
+  reject: 'Rejected', undo: 'Undone: the decision about',
+};
+
+/** The loop closure that confirmed a contradicted candidate: the one that it
+ * names, or that of its poses; or else, since a closure confirms candidates
+ * beside it as well, the nearest of those that contradict others. Undefined of
+ * other candidates, and where it is gone: then this is one as any other. */
+async function closureOf(one: Waiting): Promise<LoopClosure|undefined> {
+  if (!isContradicted(one)) return undefined;
+  const parent = `vehicles/${one.vehicle}`;
+  const closures = await allPages(
+      pageToken => service.listLoopClosures(
+          {parent, pageToken, pageSize: CLOSURES_A_PAGE}),
+      page => page.loopClosures);
+  if (one.decision) return closures.find(({name}) => name === one.decision);
+  const {query, matched} = pairOfWaiting(one);
+  const apart = ({querySequence, matchedSequence}: LoopClosure) =>
+      Math.abs(Number(querySequence) - query) +
+      Math.abs(Number(matchedSequence) - matched);
+  const same = closures.find(closure => apart(closure) === 0);
+  if (same) return same;
+  const {contradictions} = await service.findContradictions({vehicle: parent});
+  const names = new Set(contradictions.map(({loopClosure}) => loopClosure));
+  return closures.filter(({name}) => names.has(name))
+      .sort((a, b) => apart(a) - apart(b))[0];
 }
 
 export function isBusy(key: string): boolean {
@@ -80,7 +128,11 @@ export class QueueStore {
   readonly vehicles = signal<readonly Vehicle[]>([]);
   private queue = new Queue(MOST_WAITING);
   private cursor = '';
-  private filter: QueueFilter = {vehicle: undefined, leastProbability: 0};
+  private filter: QueueFilter = {vehicle: undefined, leastProbability: 0,
+                                 byValue: false};
+  /** When the last list was asked for, and the one that will be. */
+  private listedAt = 0;
+  private renewing: ReturnType<typeof setTimeout>|undefined;
   private run = new AbortController();
   private sweeping: ReturnType<typeof setInterval>|undefined;
   private isPublishing = false;
@@ -103,6 +155,7 @@ export class QueueStore {
     this.run.abort();
     this.endVehicles();
     clearInterval(this.sweeping);
+    clearTimeout(this.renewing);
     document.removeEventListener('visibilitychange', this.onVisibility);
   }
 
@@ -117,6 +170,8 @@ export class QueueStore {
 
   private start(): void {
     this.run.abort();
+    clearTimeout(this.renewing);
+    this.renewing = undefined;
     this.isLive.value = false;
     this.run = new AbortController();
     if (!document.hidden) void this.goOn(this.run.signal);
@@ -153,12 +208,28 @@ export class QueueStore {
   }
 
   private async list(signal: AbortSignal): Promise<void> {
+    const {checks, cursor, isCut} = await this.readList(signal);
+    if (signal.aborted) return;
+    this.queue.begin(checks, this.wanted.leastProbability, isCut);
+    this.cursor = cursor;
+    this.error.value = undefined;
+    this.publishNow();
+  }
+
+  private async readList(signal: AbortSignal):
+      Promise<{checks: Check[], cursor: string, isCut: boolean}> {
     const {wanted} = this;
+    const {vehicle, byValue} = this.filter;
+    this.listedAt = Date.now();
     const checks: Check[] = [];
     let [cursor, pageToken, count] = ['', '', 0];
     do {
       const page = await service.listChecks({
-        parent: 'vehicles/-', pageSize: CHECKS_A_PAGE, pageToken,
+        // The server orders the checks of one vehicle alone by value.
+        parent: `vehicles/${byValue && vehicle || '-'}`,
+        order: byValue && vehicle ? ListChecksOrder.BY_VALUE :
+                                    ListChecksOrder.BY_TIME,
+        pageSize: CHECKS_A_PAGE, pageToken,
         filter: {...wanted, states: [CandidateState.OPEN]},
       }, {signal});
       if (pageToken === '') cursor = page.watchCursor;
@@ -166,11 +237,28 @@ export class QueueStore {
       count += page.checks.length;
       pageToken = page.nextPageToken;
     } while (pageToken !== '' && count < MOST_WAITING);
-    if (signal.aborted) return;
-    this.queue.begin(checks, wanted.leastProbability, pageToken !== '');
-    this.cursor = cursor;
-    this.error.value = undefined;
-    this.publishNow();
+    return {checks, cursor, isCut: pageToken !== ''};
+  }
+
+  /** Reads the list again some time after a decision: it changes the values of
+   * other candidates, of which no event tells. */
+  private renewLater(): void {
+    if (!this.filter.byValue || this.renewing !== undefined) return;
+    const {signal} = this.run;
+    const wait = Math.max(RENEW_MILLISECONDS, this.listedAt +
+        RENEW_INTERVAL_MILLISECONDS - Date.now());
+    this.renewing = setTimeout(async () => {
+      try {
+        const {checks} = await this.readList(signal);
+        if (signal.aborted) return;
+        this.queue.renew(checks);
+        this.publishNow();
+      } catch {
+        // The watch tells what is wrong, if that lasts.
+      } finally {
+        this.renewing = undefined;
+      }
+    }, wait);
   }
 
   private async watch(signal: AbortSignal): Promise<void> {
@@ -188,6 +276,9 @@ export class QueueStore {
         timer = setTimeout(end, SILENT_MILLISECONDS);
         if (event.case === 'candidate') {
           this.queue.take(event.value, Date.now());
+          if (CHANGE_VALUES.has(event.value.candidate!.cause)) {
+            this.renewLater();
+          }
           this.publish();
         } else if (event.case === 'vehicleDeleted') {
           this.queue.drop(event.value.vehicleUid);
@@ -255,28 +346,40 @@ export class QueueStore {
     const parent = `vehicles/${vehicle}`;
     const pair = {querySequence: candidate.evidence.query!.sequence,
                   matchedSequence: candidate.evidence.matched!.sequence};
-    void this.perform(act, candidate, undefined, async () => {
-      const confirms = act === 'confirm';
-      const made = confirms ?
-          (await service.addLoopClosure(
-              {parent, candidate: name, loopClosure: pair})).loopClosure! :
-          (await service.rejectCandidate(
-              {parent, candidate: name, rejectedCandidate: pair}))
-              .rejectedCandidate!;
-      this.queue.settle(
-          key, confirms ? CandidateState.CONFIRMED : CandidateState.REJECTED,
-          made.name, Date.now());
-      return made.name;
+    const settle = (state: CandidateState, made: string) =>
+        this.queue.settle(key, state, made, Date.now());
+    if (act === 'confirm') {
+      void this.perform(act, candidate, async () => {
+        const closure = await closureOf(candidate);
+        const {loopClosure} = closure ?
+            await service.addLoopClosure(
+                {parent, candidate: name, loopClosure: closure,
+                 loopClosureId: closure.name.split('/').at(-1)}) :
+            await service.addLoopClosure(
+                {parent, candidate: name, loopClosure: pair});
+        settle(CandidateState.CONFIRMED, loopClosure!.name);
+        return {made: loopClosure!.name, act: closure ? 'uphold' : act};
+      });
+      return;
+    }
+    void this.perform(act, candidate, async () => {
+      const deleted = await closureOf(candidate);
+      // One pair of poses is not both.
+      if (deleted) await service.deleteLoopClosure({name: deleted.name});
+      const {rejectedCandidate} = await service.rejectCandidate(
+          {parent, candidate: name, rejectedCandidate: pair});
+      settle(CandidateState.REJECTED, rejectedCandidate!.name);
+      return {made: rejectedCandidate!.name, deleted};
     });
   }
 
-  /** Deletes what the last decision of this page made, and returns that one, if
-   * there is one. */
+  /** Deletes what the last decision of this page made, adds what it deleted, and
+   * returns it, if there is one. */
   undo(): QueueDeed|undefined {
     const last = lastDecision();
     if (!last || isBusy(last.at)) return undefined;
     const name = last.made!;
-    void this.perform('undo', last.candidate, name, async () => {
+    void this.perform('undo', last.candidate, async () => {
       try {
         if (last.act === 'confirm') {
           await service.deleteLoopClosure({name});
@@ -287,14 +390,20 @@ export class QueueStore {
         // Somebody else was faster.
         if (ConnectError.from(error).code !== Code.NotFound) throw error;
       }
-      return name;
-    });
+      if (last.deleted) {
+        await service.addLoopClosure({
+          parent: `vehicles/${last.candidate.vehicle}`,
+          loopClosure: last.deleted, candidate: last.candidate.name,
+          loopClosureId: last.deleted.name.split('/').at(-1)});
+      }
+      return {};
+    }, name);
     return last;
   }
 
   private async perform(act: Deed['act'], candidate: Waiting,
-                        made: string|undefined, work: () => Promise<string>):
-      Promise<void> {
+                        work: () => Promise<Partial<QueueDeed>>,
+                        made?: string): Promise<void> {
     const pair = pairOfWaiting(candidate);
     const deed: QueueDeed = {
       id: deeds.value.length + 1, act, pair, at: candidate.key, candidate, made,
@@ -306,14 +415,11 @@ export class QueueStore {
           other => other.id === deed.id ? {...deed, ...ended} : other);
     };
     const what = `${pairName(pair)} of ${candidate.vehicle}`;
-    const [done, verb] = {
-      confirm: ['Confirmed', 'confirmed'], reject: ['Rejected', 'rejected'],
-      undo: ['Undone: the decision about', 'undone'],
-    }[act];
     try {
-      const name = await work();
+      const ended = await work();
+      const text = `${DONE[ended.act ?? act]} ${what}.`;
       batch(() => {
-        end({state: 'done', made: name, text: `${done} ${what}.`});
+        end({...ended, state: 'done', text});
         this.publishNow();
       });
     } catch (error) {
@@ -322,7 +428,7 @@ export class QueueStore {
         readOnly.value = new Set([...readOnly.value, candidate.vehicle]);
       }
       end({state: 'failed',
-           text: `${what} was not ${verb}: ${messageOf(error)}`});
+           text: `${what} was not ${VERBS[act]}: ${messageOf(error)}`});
     }
   }
 }

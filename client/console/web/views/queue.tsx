@@ -2,12 +2,12 @@
 // to be worked through by keyboard.
 import {useEffect, useLayoutEffect, useMemo, useRef} from 'preact/hooks';
 
-import {Verdict} from '../../gen/revisit/v1/candidate_pb.js';
+import {type Candidate, Verdict} from '../../gen/revisit/v1/candidate_pb.js';
 import {CandidateCause, CandidateState} from
     '../../gen/revisit/v1/check_pb.js';
 import {verdictName} from '../data/candidates.js';
 import {pairName} from '../data/decisions.js';
-import {follow, isOpen, neighbour, type Order, ordered, type Waiting} from
+import {follow, isContradicted, isOpen, neighbour, type Order, ordered, type Waiting} from
     '../data/queue.js';
 import {deeds, isBusy, lastDecision, MOST_WAITING, pairOfWaiting,
         type QueueDeed, type QueueFilter, QueueStore, readOnly} from
@@ -28,11 +28,13 @@ const MOST_SAVED = 200;
 function filterOf(parameters: URLSearchParams): QueueFilter {
   const least = Number(parameters.get('least'));
   return {vehicle: parameters.get('vehicle') || undefined,
-          leastProbability: least >= 0 && least <= 1 ? least : 0};
+          leastProbability: least >= 0 && least <= 1 ? least : 0,
+          byValue: orderOf(parameters) === 'value'};
 }
 
 function orderOf(parameters: URLSearchParams): Order {
-  return parameters.get('order') === 'probable' ? 'probable' : 'newest';
+  const order = parameters.get('order');
+  return order === 'newest' || order === 'probable' ? order : 'value';
 }
 
 /** The view of a candidate, by the pose at which its check was due. */
@@ -51,13 +53,27 @@ function probabilityText({evidence: {probability: p}}: Waiting): string {
   return p === undefined ? '–' : probability(p);
 }
 
+/** A value in square metres: of a small one, how small it is. */
+function valueText({value}: Waiting): string {
+  return value > 0 && value < 0.001 ? '< 0.001 m²' : `${fixed(value, 3)} m²`;
+}
+
+/** Why an open candidate is to be looked at otherwise than as it was found. */
+function markOf(one: Waiting): string {
+  const cause = isContradicted(one) ? 'contradicted' :
+      one.cause === CandidateCause.SEARCH ? 'found by a later search' : '';
+  return [cause, one.isStale ? 'stale' : ''].filter(mark => mark).join(', ');
+}
+
 /** What has become of a candidate, and who has decided. */
 function stateText(one: Waiting): string {
-  if (isOpen(one)) return '';
+  if (isOpen(one)) return markOf(one);
   const state = words(CandidateState[one.state]);
   if (one.state === CandidateState.WITHDRAWN) {
     return one.cause === CandidateCause.RETENTION ?
-        `${state}: kept no longer` : state;
+        `${state}: kept no longer` :
+        one.cause === CandidateCause.SEARCH ?
+        `${state}: less probable now` : state;
   }
   const made = deeds.value.find(
       ({act, made: name}) => act !== 'undo' && name === one.decision);
@@ -86,6 +102,7 @@ function columnsFor(names: ReadonlyMap<string, string>):
         {verdictName(verdict)}
       </span>)},
     {title: 'Probability', number: true, cell: probabilityText},
+    {title: 'Value', number: true, cell: valueText},
     {title: 'd² / gate', number: true, cell: ({evidence: {gate}}) => gate ?
        `${fixed(gate.squaredMahalanobisDistance, 2)} / ${
            fixed(gate.threshold, 2)}` : 'shape alone'},
@@ -96,6 +113,61 @@ function columnsFor(names: ReadonlyMap<string, string>):
     {title: 'State', cell: one =>
        isBusy(one.key) ? 'no answer yet' : stateText(one)},
   ];
+}
+
+/** What was told when the candidate was found, beside what is found now. */
+function Searches({one}: {one: Waiting}) {
+  if (!one.isSearchedAgain) return null;
+  const found = [one.told, one.evidence];
+  const rows: Array<[string, (candidate: Candidate) => string]> = [
+    ['Probability', ({probability: p}) => p === undefined ? '–' :
+                                                            probability(p)],
+    ['Verdict', ({verdict}) => verdictName(verdict)],
+    ['Match', ({matched}) => count(matched!.sequence)],
+    ['Difference', ({difference}) => difference ? length(Math.hypot(
+        difference.xMeters, difference.yMeters)) : '–'],
+  ];
+  return (
+    <table class="searches" aria-label="Both searches">
+      <thead>
+        <tr>
+          <th scope="col" />
+          <th scope="col">Told then</th>
+          <th scope="col">Found now</th>
+        </tr>
+      </thead>
+      <tbody>
+        {rows.map(([title, cell]) => (
+          <tr key={title}>
+            <th scope="row">{title}</th>
+            {found.map((candidate, i) => (
+              <td key={i}>{candidate ? cell(candidate) : 'nothing'}</td>))}
+          </tr>
+        ))}
+      </tbody>
+    </table>
+  );
+}
+
+/** What makes the decision about this one another one than usual. */
+function Marks({one}: {one: Waiting}) {
+  return (
+    <>
+      {isContradicted(one) && (
+        <p class="hint">
+          Contradicted: the loop closure that confirmed it says something else
+          than others that agree with each other. To uphold it keeps it, to reject
+          the candidate deletes it.
+        </p>
+      )}
+      {isOpen(one) && one.isStale && (
+        <p class="hint">
+          Stale: what this rests on has changed, and it waits to be searched
+          again.
+        </p>
+      )}
+    </>
+  );
 }
 
 /** What was done in the queue since the page was loaded, the last first. */
@@ -212,8 +284,9 @@ function Filters({store, filter, order}:
       <label>
         Order
         <select value={order} onChange={event => setQuery(
-                  'order', event.currentTarget.value === 'newest' ?
+                  'order', event.currentTarget.value === 'value' ?
                       undefined : event.currentTarget.value)}>
+          <option value="value">most valuable first</option>
           <option value="newest">newest first</option>
           <option value="probable">most probable first</option>
         </select>
@@ -236,7 +309,7 @@ export function QueueView() {
   const filter = filterOf(query.value);
   const order = orderOf(query.value);
   useEffect(() => store.show(filter),
-            [filter.vehicle, filter.leastProbability]);
+            [filter.vehicle, filter.leastProbability, filter.byValue]);
   useTitle('Queue');
   const all = store.waiting.value;
   const rows = useMemo(() => all && ordered(all, order), [all, order]);
@@ -287,7 +360,8 @@ export function QueueView() {
           title: `Queue: ${count(open.length)} open`,
           facts: open.slice(0, MOST_SAVED).map(one => [
             `${one.vehicle} ${pairName(pairOfWaiting(one))}`,
-            `${verdictName(one.evidence.verdict)}, ${probabilityText(one)}`]),
+            `${verdictName(one.evidence.verdict)}, ${probabilityText(one)}, ${
+                valueText(one)}`]),
         })} />
       </div>
       {store.error.value && <p class="error" role="status">
@@ -310,10 +384,13 @@ export function QueueView() {
             </>
           ) : 'No candidate is chosen.'}
         </p>
+        {current && <Searches one={current} />}
+        {current && <Marks one={current} />}
         <div class="buttons">
           <button type="button" class="confirm" disabled={!mayDecide}
                   onClick={() => decide('confirm')}>
-            Confirm <kbd>c</kbd>
+            {current && isContradicted(current) ? 'Uphold' : 'Confirm'}{' '}
+            <kbd>c</kbd>
           </button>
           <button type="button" class="reject" disabled={!mayDecide}
                   onClick={() => decide('reject')}>
