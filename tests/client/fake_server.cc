@@ -276,7 +276,10 @@ double ValueOf(const v1::Check& check) {
   double value = -1.0;
   for (const v1::CheckCandidate& one : check.states()) {
     if (one.state() == v1::CANDIDATE_STATE_OPEN) {
-      value = std::max(value, one.value_square_meters());
+      // As the real one.
+      value = std::max(value, one.cause() == v1::CANDIDATE_CAUSE_CONTRADICTION
+                                  ? 1e300
+                                  : one.value_square_meters());
     }
   }
   return value;

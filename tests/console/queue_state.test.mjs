@@ -150,6 +150,12 @@ test('value is the first order, as of the last list or event', () => {
   assert.deepEqual(shown(queue, 'value'), ['a 1 1', 'a 3 2', 'a 2 1']);
   assert.deepEqual([...queue.values].map(({value}) => value).sort(),
                    [0.1, 0.5, 3]);
+  // What contradicts others comes first, whatever it is worth.
+  for (const number of [7, 8]) {
+    queue.take(event('a', number, OPEN, number, {cause: CONTRADICTION}), 200);
+  }
+  assert.deepEqual(shown(queue, 'value').slice(0, 3),
+                   ['a 8 1', 'a 7 1', 'a 1 1']);
 });
 
 /** A check whose second search found its first candidate less probable, and one

@@ -2,6 +2,8 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <limits>
+#include <optional>
 #include <set>
 #include <utility>
 
@@ -41,19 +43,15 @@ absl::StatusOr<std::set<std::string>> Contradicting(
   return names;
 }
 
-absl::Status IsGone(const v1::CheckCandidate& candidate) {
-  return absl::NotFoundError(
-      absl::StrCat("the loop closure that confirmed ", candidate.name(),
-                   " is gone, or contradicts nothing any more"));
-}
-
 // The loop closure that confirmed a contradicted candidate: the one that the
 // candidate names; else the one of its poses; else, since a closure confirms
 // candidates beside it as well, the nearest of those that contradict others. No
-// other one is ever taken, since a rejection deletes it.
-absl::StatusOr<v1::LoopClosure> ClosureOf(const Client& client,
-                                          const v1::CheckCandidate& candidate,
-                                          const v1::Candidate& evidence) {
+// other one is ever taken, since a rejection deletes it. None of another
+// candidate, and where it is gone: then this is one as any other.
+absl::StatusOr<std::optional<v1::LoopClosure>> ClosureOf(
+    const Client& client, const v1::CheckCandidate& candidate,
+    const v1::Candidate& evidence) {
+  if (!IsContradicted(candidate)) return std::nullopt;
   const std::string vehicle = VehicleOf(candidate.name());
   const auto all = ListClosures(client, vehicle);
   if (!all.ok()) return all.status();
@@ -67,7 +65,7 @@ absl::StatusOr<v1::LoopClosure> ClosureOf(const Client& client,
       return closure;
     }
   }
-  if (!candidate.decision().empty()) return IsGone(candidate);
+  if (!candidate.decision().empty()) return std::nullopt;
   const auto contradicting = Contradicting(client, vehicle);
   if (!contradicting.ok()) return contradicting.status();
   const v1::LoopClosure* nearest = nullptr;
@@ -77,7 +75,7 @@ absl::StatusOr<v1::LoopClosure> ClosureOf(const Client& client,
       nearest = &closure;
     }
   }
-  if (nearest == nullptr) return IsGone(candidate);
+  if (nearest == nullptr) return std::nullopt;
   return *nearest;
 }
 
@@ -106,19 +104,24 @@ bool IsContradicted(const v1::CheckCandidate& candidate) {
          candidate.cause() == v1::CANDIDATE_CAUSE_CONTRADICTION;
 }
 
+double OrderingValue(const v1::CheckCandidate& candidate) {
+  return IsContradicted(candidate) ? std::numeric_limits<double>::infinity()
+                                   : candidate.value_square_meters();
+}
+
 absl::StatusOr<CandidateDecision> ConfirmCandidate(
     const Client& client, const v1::CheckCandidate& candidate,
     const v1::Candidate& evidence, const std::string& note) {
   using Kind = CandidateDecision::Kind;
-  if (IsContradicted(candidate)) {
-    const auto closure = ClosureOf(client, candidate, evidence);
-    if (!closure.ok()) return closure.status();
-    if (absl::Status added = AddAgain(client, *closure, candidate.name());
+  const auto closure = ClosureOf(client, candidate, evidence);
+  if (!closure.ok()) return closure.status();
+  if (closure->has_value()) {
+    if (absl::Status added = AddAgain(client, **closure, candidate.name());
         !added.ok()) {
       return added;
     }
     return CandidateDecision{
-        Kind::kUpheld, candidate.name(), closure->name(), {}};
+        Kind::kUpheld, candidate.name(), (*closure)->name(), {}};
   }
   v1::AddLoopClosureRequest request;
   request.set_parent(VehicleOf(candidate.name()));
@@ -136,14 +139,14 @@ absl::StatusOr<CandidateDecision> RejectCandidate(
   CandidateDecision decision;
   decision.kind = CandidateDecision::Kind::kRejected;
   decision.candidate = candidate.name();
-  if (IsContradicted(candidate)) {
-    auto closure = ClosureOf(client, candidate, evidence);
-    if (!closure.ok()) return closure.status();
+  auto closure = ClosureOf(client, candidate, evidence);
+  if (!closure.ok()) return closure.status();
+  if (closure->has_value()) {
     v1::DeleteLoopClosureRequest request;
-    request.set_name(closure->name());
+    request.set_name((*closure)->name());
     const auto deleted = client.DeleteLoopClosure(request);
     if (!deleted.ok()) return deleted.status();
-    decision.deleted.push_back(*std::move(closure));
+    decision.deleted.push_back(**std::move(closure));
   }
   v1::RejectCandidateRequest request;
   request.set_parent(VehicleOf(candidate.name()));

@@ -37,9 +37,13 @@ struct CandidateDecision {
 // Whether the candidate is open because its loop closure contradicts others.
 bool IsContradicted(const v1::CheckCandidate& candidate);
 
+// By what the server orders open candidates: its value, with those first whose
+// loop closure contradicts others.
+double OrderingValue(const v1::CheckCandidate& candidate);
+
 // Confirms an open candidate: adds a loop closure of the poses of its evidence
 // with this note. Where it is contradicted, adds the loop closure that
-// confirmed it again as it is, which upholds it.
+// confirmed it again as it is, which upholds it; unless that is gone.
 absl::StatusOr<CandidateDecision> ConfirmCandidate(
     const Client& client, const v1::CheckCandidate& candidate,
     const v1::Candidate& evidence, const std::string& note);

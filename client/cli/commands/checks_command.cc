@@ -13,6 +13,7 @@
 #include "client/answers/exact_text.h"
 #include "client/answers/names.h"
 #include "client/answers/pages.h"
+#include "client/cli/commands/candidate_decisions.h"
 #include "client/cli/commands/shared_flags.h"
 #include "client/revisit/candidate_watch.h"
 #include "client/revisit/printable_text.h"
@@ -96,8 +97,7 @@ const v1::CheckCandidate* ShownOf(const ChecksOptions& options,
     if (best == nullptr) best = &candidate;
     if (candidate.state() == v1::CANDIDATE_STATE_OPEN &&
         (most_valuable == nullptr ||
-         candidate.value_square_meters() >
-             most_valuable->value_square_meters())) {
+         OrderingValue(candidate) > OrderingValue(*most_valuable))) {
       most_valuable = &candidate;
     }
   }

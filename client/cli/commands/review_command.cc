@@ -124,16 +124,14 @@ class Queue {
     double most = 0.0;
     for (const v1::CheckCandidate& candidate : check.states()) {
       if (!Matches(options_.filter, check, candidate)) continue;
-      const double value = candidate.value_square_meters();
+      const double value = OrderingValue(candidate);
       most = std::max(most, value);
       if (passed_.count(candidate.name()) != 0) continue;
-      if (!best->has_value() ||
-          value > (*best)->candidate.value_square_meters()) {
+      if (!best->has_value() || value > OrderingValue((*best)->candidate)) {
         *best = Reviewed{check, candidate};
       }
     }
-    return !best->has_value() ||
-           most > (*best)->candidate.value_square_meters();
+    return !best->has_value() || most > OrderingValue((*best)->candidate);
   }
 
   const Client& client_;

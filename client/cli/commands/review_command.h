@@ -25,7 +25,8 @@ struct ReviewOptions {
   std::string note;
 };
 
-// Shows the open candidates of a vehicle, the most valuable first, each as the
+// Shows the open candidates of a vehicle, the contradicted and then the most
+// valuable first, each as the
 // server knows it by then, and does with it what the next line of `answers`
 // says: "c" confirms, "r" rejects, "s" or an empty line leaves it open, "u"
 // takes the last decision back and shows its candidate again, and "q", or the

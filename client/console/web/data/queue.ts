@@ -91,9 +91,11 @@ export function isContradicted(one: Waiting): boolean {
  * changed: a second search found another probability, or a decision made another
  * value of it. The row that is looked at is followed. */
 export function ordered(all: Iterable<Waiting>, order: Order): Waiting[] {
-  const rankOf = ({evidence, value}: Waiting) =>
-      order === 'value' ? value :
-      order === 'probable' ? evidence.probability ?? 0 : 0;
+  // One whose loop closure contradicts others comes before all, as in the lists
+  // of the server.
+  const rankOf = (one: Waiting) =>
+      order === 'value' ? (isContradicted(one) ? Infinity : one.value) :
+      order === 'probable' ? one.evidence.probability ?? 0 : 0;
   return [...all].sort((a, b) => rankOf(b) - rankOf(a) ||
       b.found - a.found || a.vehicle.localeCompare(b.vehicle, 'en') ||
       b.asked - a.asked || a.name.localeCompare(b.name, 'en', {numeric: true}));

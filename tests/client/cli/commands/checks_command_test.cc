@@ -124,6 +124,13 @@ TEST_F(ValuedChecksTest, ByValueShowsTheMostValuableOpenCandidateOfEach) {
             "1970-01-01T00:00:00Z\n");
 }
 
+TEST_F(ValuedChecksTest, ContradictedCandidateIsShownWhateverItIsWorth) {
+  first_.mutable_states(0)->set_cause(v1::CANDIDATE_CAUSE_CONTRADICTION);
+  server_.set_checks({first_});
+  ASSERT_TRUE(RunChecksList(client_, options_, Text()).ok());
+  EXPECT_THAT(out_.str(), HasSubstr("     0.9000     0.500  ACCEPTED"));
+}
+
 TEST_F(ValuedChecksTest, ServerIsAskedForWhatTheFlagsSay) {
   options_.fresh_only = true;
   options_.filter.set_least_value_square_meters(0.5);

@@ -343,8 +343,19 @@ TEST_F(ContradictedTest, ClosureThatIsNotFoundIsNeverReplacedByAnother) {
   options_.command = "exit 10";
   EXPECT_EQ(ExitCodeOf(Run()), 71);
   EXPECT_THAT(server_.Deleted(), IsEmpty());
-  EXPECT_THAT(server_.Decisions(), IsEmpty());
-  EXPECT_THAT(progress_.str(), HasSubstr("too late for vehicles/a/checks/100"));
+  EXPECT_THAT(server_.Decisions(),
+              ElementsAre("reject vehicles/a/checks/100/candidates/1 150-21"));
+}
+
+TEST_F(ContradictedTest, CandidateWhoseClosureIsGoneIsConfirmedAsAnyOther) {
+  event_.mutable_candidate()->mutable_candidate()->set_decision(
+      "vehicles/a/loopClosures/gone");
+  server_.AddEvent(event_);
+  options_.command = "exit 0";
+  EXPECT_EQ(ExitCodeOf(Run()), 71);
+  ASSERT_THAT(server_.AddedClosures(), SizeIs(1));
+  EXPECT_EQ(server_.AddedClosures()[0].loop_closure_id(), "");
+  EXPECT_EQ(server_.AddedClosures()[0].loop_closure().matched_sequence(), 20u);
 }
 
 TEST_F(ContradictedTest, ClosureThatTheCandidateNamesIsTheOne) {
