@@ -9,9 +9,9 @@ import subprocess
 
 import pytest
 
-from revisit_server import BIN, clean_environment, run
+from revisit_server import BIN, clean_environment, run, wait_until
 from stubs import api
-from wire import append, straight
+from wire import append, get, laps, straight
 
 USAGE = 64
 
@@ -22,6 +22,7 @@ def revisit(server):
     def call(*arguments, **environment):
         return run("revisit", *arguments, "--server", server.address,
                    env=clean_environment(**environment))
+    call.address = server.address
     return call
 
 
@@ -241,3 +242,79 @@ def test_vin_becomes_an_id_as_the_help_says(revisit):
     assert revisit("vehicle", "create", "wvwzzz1jzxw000001").returncode == 0
     assert revisit("vehicle", "delete", "wvwzzz1jzxw000001",
                    "--yes").returncode == 0
+
+
+@pytest.fixture
+def lapped(revisit, stub):
+    """The id of a vehicle that has driven one lap three times, all checks stored."""
+    assert revisit("vehicle", "create", "api-2", "--checks", "stored",
+                   "--sequence-length", 20, "--check-interval", 10,
+                   "--node-spacing", 1).returncode == 0
+    append(stub, "vehicles/api-2", laps(1140))
+    wait_until(lambda: get(stub, "vehicles/api-2").check_debt == 0, "all checks")
+    yield "api-2"
+    revisit("vehicle", "delete", "api-2", "--yes")
+
+
+def test_open_candidates_are_reviewed_at_a_terminal(lapped, server, revisit):
+    def opened():
+        listed_checks = listed(revisit("checks", lapped, "--state", "open",
+                                       "--by", "value", "--json"))["checks"]
+        return [state["name"] for check in listed_checks
+                for state in check["states"]
+                if state["state"] == "CANDIDATE_STATE_OPEN"]
+
+    before = opened()
+    code, shown = at_terminal(["review", lapped, "--server", server.address],
+                              "c\nr\nu\ns\nq\n")
+    assert code == 0, shown
+    assert shown.count("told then") == 5
+    assert "1 confirmed, 0 rejected, 1 skipped" in shown
+    [confirmed] = re.findall(r"confirmed (vehicles/\S+)", shown)
+    [rejected] = re.findall(r"rejected (vehicles/\S+)", shown)
+    assert {confirmed, rejected} <= set(before) and rejected != confirmed
+    assert re.findall(r"undone (vehicles/\S+)", shown) == [rejected]
+    after = opened()
+    assert confirmed not in after and rejected in after
+    [closure] = listed(revisit("closures", "list", lapped, "--json"))[
+        "loopClosures"]
+    check = listed(revisit("checks", lapped, "--sequence",
+                           confirmed.split("/")[3], "--json"))
+    assert [state["decision"] for state in check["states"]
+            if state["name"] == confirmed] == [closure["name"]]
+
+
+def test_contradicted_closure_is_listed_and_upheld(lapped, revisit):
+    checks = listed(revisit("checks", lapped, "--state", "open", "--json"))["checks"]
+    *right, wrong = checks[::4]
+    for check in right:
+        best = check["candidates"]["candidates"][0]
+        assert revisit("confirm", lapped, best["query"]["sequence"],
+                       best["matched"]["sequence"]).returncode == 0
+    assert listed(revisit("contradictions", lapped, "--json"))[
+        "contradictions"] == []
+    query = wrong["candidates"]["query"]["sequence"]
+    # Half a lap away from all that agree.
+    made = revisit("confirm", lapped, query, query - 190, "--candidate",
+                   wrong["states"][0]["name"], "-o", "name").stdout
+    assert revisit("contradictions", lapped, "-o", "name").stdout == made
+    titles, row = revisit("contradictions", lapped).stdout.splitlines()
+    assert titles.split()[:4] == ["ID", "P-VALUE", "QUERY_SEQ", "MATCHED_SEQ"]
+    assert row.split()[2:4] == [str(query), str(query - 190)]
+
+    def first():
+        return listed(revisit("checks", lapped, "--by", "value", "--json"))[
+            "checks"][0]["states"]
+
+    wait_until(lambda: any(state["cause"] == "CANDIDATE_CAUSE_CONTRADICTION"
+                           for state in first()), "second look")
+    reviewed = subprocess.run(
+        [BIN / "revisit", "review", lapped, "--server", revisit.address],
+        input="c\nq\n", text=True, capture_output=True, timeout=60, check=True,
+        env=clean_environment())
+    assert "contradicted: the loop closure" in reviewed.stdout
+    assert f"upheld {wrong['states'][0]['name']}\n" in reviewed.stdout
+    assert made.strip() in [closure["name"] for closure in listed(
+        revisit("closures", "list", lapped, "--json"))["loopClosures"]]
+    assert not any(state["cause"] == "CANDIDATE_CAUSE_CONTRADICTION"
+                   for state in first())

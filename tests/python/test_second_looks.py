@@ -1,5 +1,5 @@
 """What the server makes of stored checks after they were found, as the package shows
-it: values and second searches."""
+it: values, second searches, and loop closures that contradict others."""
 
 import pytest
 
@@ -7,6 +7,7 @@ import revisit
 from revisit_server import wait_until
 
 OPEN = revisit.v1.CANDIDATE_STATE_OPEN
+CONFIRMED = revisit.v1.CANDIDATE_STATE_CONFIRMED
 
 
 @pytest.fixture
@@ -73,3 +74,37 @@ def test_a_decision_has_others_searched_again(client, driven):
         assert found.rank == one.latest_rank
     after = next(client.list_checks(driven, states="open", order="value"))
     assert best_of(after) < before
+
+
+def test_a_contradicted_closure_comes_once_more_and_is_upheld(client, driven):
+    checks = [check for check in client.list_checks(driven, states="open")
+              if evidence(check).probability > 0.99]
+    for check in checks[::2]:
+        confirm(client, driven, check)
+    assert client.find_contradictions(driven) == []
+    last = [check for check in client.list_checks(driven, states="open")
+            if check.states[0].state == OPEN][-1]
+    watch = client.watch(driven, cursor=client.list_checks(driven).watch_cursor())
+    query = evidence(last).query.sequence
+    # As far along the road as no two places that are one.
+    wrong = client.add_loop_closure(driven, query, query - 120,
+                                    candidate=last.states[0].name).loop_closure
+    [found] = client.find_contradictions(driven)
+    assert found.loop_closure == wrong.name
+    assert found.p_value < 0.01
+    event = next(one for one in watch if one.is_contradicted)
+    assert event.candidate.name == last.states[0].name
+    assert event.contradicted_closure() == wrong
+    event.uphold()
+    watch.done()
+    upheld = next(one for one in watch if one.candidate.name == event.candidate.name)
+    assert (upheld.candidate.state, upheld.candidate.decision) == (
+        CONFIRMED, wrong.name)
+    assert [one.name for one in client.list_loop_closures(driven)].count(
+        wrong.name) == 1
+    # It contradicts the others as before, but nobody is asked about it once more.
+    [found] = client.find_contradictions(driven)
+    assert found.loop_closure == wrong.name
+    state = next(one for one in client.get_check(last.name).states
+                 if one.name == event.candidate.name)
+    assert state.state == CONFIRMED

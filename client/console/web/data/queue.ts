@@ -179,10 +179,7 @@ export class Queue {
       for (const candidate of check.states) {
         const one = listed(check, candidate);
         const before = one && this.all.get(one.key);
-        if (!before || !isOpen(before) ||
-            before.eventNumber > one.eventNumber) {
-          continue;
-        }
+        if (!before || before.eventNumber > one.eventNumber) continue;
         const {evidence, told, isSearchedAgain, isStale, value} = one;
         this.all.set(one.key, {...before, evidence, told, isSearchedAgain,
                                isStale, value});
