@@ -370,7 +370,7 @@ async function contradict(page, sequence) {
     check.latest.candidates[0].probability = 0.25;
     check.stale = true;
     Object.assign(check.states[0], {
-      state: 1, cause: 7, decision: '', latestRank: 1});
+      state: 1, cause: 7, latestRank: 1});
     list.checks = [
       check, ...list.checks.filter(({name}) => name !== check.name)];
     const body = Buffer.from(toBinary(schema, list));

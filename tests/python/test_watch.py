@@ -456,15 +456,14 @@ def test_a_list_tells_what_the_last_search_found(client, feed):
     assert revisit.evidence_of(feed.checks[1], feed.checks[1].states[1]) is None
 
 
-def contradicted(client, feed, query=10):
+def contradicted(client, feed):
     """The event of a candidate whose loop closure others contradict."""
     watch = begun(client, feed)
     feed.tell("a", 1)
-    told = feed.events[-1].candidate
-    told.candidate.cause = v1.CANDIDATE_CAUSE_CONTRADICTION
-    told.evidence.query.sequence = query
-    feed.closures = [closure("a", "first", 10, 1), closure("a", "other", 90, 80),
-                     closure("a", "third", 12, 1)]
+    feed.closures = [closure("a", "other", 90, 80), closure("a", "wrong", 11, 1)]
+    told = feed.events[-1].candidate.candidate
+    told.cause = v1.CANDIDATE_CAUSE_CONTRADICTION
+    told.decision = feed.closures[1].name
     return next(watch)
 
 
@@ -473,20 +472,17 @@ def test_a_contradicted_closure_is_upheld_as_it_is(client, feed):
     assert event.is_contradicted
     event.uphold()
     [added] = feed.decisions
-    assert (added.parent, added.loop_closure_id) == ("vehicles/a", "first")
-    assert added.loop_closure == feed.closures[0]
+    assert (added.parent, added.loop_closure_id) == ("vehicles/a", "wrong")
+    assert added.loop_closure == feed.closures[1]
     assert added.candidate == "vehicles/a/checks/10/candidates/1"
 
 
-def test_a_contradicted_closure_beside_its_candidate_is_found(client, feed):
-    event = contradicted(client, feed, query=11)
-    with pytest.raises(LookupError, match="gone, or contradicts nothing"):
-        event.contradicted_closure()
-    feed.contradictions = [v1.Contradiction(loop_closure=one.name)
-                           for one in feed.closures[1:]]
-    assert event.contradicted_closure() == feed.closures[2]
-    event.candidate.decision = feed.closures[1].name
-    assert event.contradicted_closure() == feed.closures[1]
+def test_a_contradicted_closure_that_is_gone_is_not_replaced(client, feed):
+    event = contradicted(client, feed)
+    assert event.contradicted_closure() == feed.closures.pop()
+    with pytest.raises(LookupError, match="loopClosures/wrong is gone"):
+        event.uphold()
+    assert feed.decisions == []
 
 
 def test_only_a_contradicted_closure_is_upheld(client, feed):

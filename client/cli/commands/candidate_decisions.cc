@@ -1,10 +1,8 @@
 #include "client/cli/commands/candidate_decisions.h"
 
 #include <cstddef>
-#include <cstdint>
 #include <limits>
 #include <optional>
-#include <set>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -25,58 +23,17 @@ std::string IdOf(const std::string& name) {
   return name.substr(name.rfind('/') + 1);
 }
 
-std::uint64_t Apart(std::uint64_t a, std::uint64_t b) {
-  return a > b ? a - b : b - a;
-}
-
-// The names of the loop closures that contradict others.
-absl::StatusOr<std::set<std::string>> Contradicting(
-    const Client& client, const std::string& vehicle) {
-  v1::FindContradictionsRequest request;
-  request.set_vehicle(vehicle);
-  const auto found = client.FindContradictions(request);
-  if (!found.ok()) return found.status();
-  std::set<std::string> names;
-  for (const v1::Contradiction& contradiction : found->contradictions()) {
-    names.insert(contradiction.loop_closure());
-  }
-  return names;
-}
-
-// The loop closure that confirmed a contradicted candidate: the one that the
-// candidate names; else the one of its poses; else, since a closure confirms
-// candidates beside it as well, the nearest of those that contradict others. No
-// other one is ever taken, since a rejection deletes it. None of another
+// The loop closure that confirmed a contradicted candidate. None of another
 // candidate, and where it is gone: then this is one as any other.
 absl::StatusOr<std::optional<v1::LoopClosure>> ClosureOf(
-    const Client& client, const v1::CheckCandidate& candidate,
-    const v1::Candidate& evidence) {
+    const Client& client, const v1::CheckCandidate& candidate) {
   if (!IsContradicted(candidate)) return std::nullopt;
-  const std::string vehicle = VehicleOf(candidate.name());
-  const auto all = ListClosures(client, vehicle);
+  const auto all = ListClosures(client, VehicleOf(candidate.name()));
   if (!all.ok()) return all.status();
-  const auto apart = [&evidence](const v1::LoopClosure& closure) {
-    return Apart(closure.query_sequence(), evidence.query().sequence()) +
-           Apart(closure.matched_sequence(), evidence.matched().sequence());
-  };
   for (const v1::LoopClosure& closure : *all) {
-    if (candidate.decision().empty() ? apart(closure) == 0
-                                     : closure.name() == candidate.decision()) {
-      return closure;
-    }
+    if (closure.name() == candidate.decision()) return closure;
   }
-  if (!candidate.decision().empty()) return std::nullopt;
-  const auto contradicting = Contradicting(client, vehicle);
-  if (!contradicting.ok()) return contradicting.status();
-  const v1::LoopClosure* nearest = nullptr;
-  for (const v1::LoopClosure& closure : *all) {
-    if (contradicting->count(closure.name()) == 0) continue;
-    if (nearest == nullptr || apart(closure) < apart(*nearest)) {
-      nearest = &closure;
-    }
-  }
-  if (nearest == nullptr) return std::nullopt;
-  return *nearest;
+  return std::nullopt;
 }
 
 template <typename Pair>
@@ -113,7 +70,7 @@ absl::StatusOr<CandidateDecision> ConfirmCandidate(
     const Client& client, const v1::CheckCandidate& candidate,
     const v1::Candidate& evidence, const std::string& note) {
   using Kind = CandidateDecision::Kind;
-  const auto closure = ClosureOf(client, candidate, evidence);
+  const auto closure = ClosureOf(client, candidate);
   if (!closure.ok()) return closure.status();
   if (closure->has_value()) {
     if (absl::Status added = AddAgain(client, **closure, candidate.name());
@@ -139,7 +96,7 @@ absl::StatusOr<CandidateDecision> RejectCandidate(
   CandidateDecision decision;
   decision.kind = CandidateDecision::Kind::kRejected;
   decision.candidate = candidate.name();
-  auto closure = ClosureOf(client, candidate, evidence);
+  auto closure = ClosureOf(client, candidate);
   if (!closure.ok()) return closure.status();
   if (closure->has_value()) {
     v1::DeleteLoopClosureRequest request;

@@ -347,29 +347,6 @@ def find_contradictions(vehicle: str) -> Call[list[v1.Contradiction]]:
         vehicle=vehicle_name(vehicle)), contradictions)
 
 
-def closure_of(candidate: v1.CheckCandidate, evidence: v1.Candidate,
-               closures: Iterable[v1.LoopClosure],
-               contradicting: Optional[Iterable[v1.Contradiction]] = None
-               ) -> Optional[v1.LoopClosure]:
-    """Of a vehicle's loop closures, the one that confirmed a contradicted candidate:
-    the one that it names, or else the one of its poses; or else, where it is known
-    which contradict others, the nearest of these, since a closure confirms candidates
-    beside it as well."""
-    def apart(closure: v1.LoopClosure) -> int:
-        return (abs(closure.query_sequence - evidence.query.sequence)
-                + abs(closure.matched_sequence - evidence.matched.sequence))
-
-    wanted = list(closures)
-    if candidate.decision:
-        wanted = [one for one in wanted if one.name == candidate.decision]
-    elif contradicting is None:
-        wanted = [one for one in wanted if apart(one) == 0]
-    else:
-        names = {one.loop_closure for one in contradicting}
-        wanted = [one for one in wanted if one.name in names]
-    return min(wanted, key=apart, default=None)
-
-
 def reject_candidate(vehicle: str,
                      query: Union[int, v1.Candidate, v1.RejectedCandidate],
                      matched: Optional[int], note: str, rejected_candidate_id: str,

@@ -13,7 +13,7 @@ import grpc
 from numpy.typing import ArrayLike
 
 from revisit import v1
-from revisit._calls import CheckPages, closure_of
+from revisit._calls import CheckPages
 from revisit._watch_state import ANSWER_SECONDS, EventFields, WatchState
 from revisit.channel import Caller, Channels, Lease, stub_of
 from revisit.errors import Cancelled, Error, Unavailable, from_rpc_error
@@ -76,19 +76,15 @@ class WatchEvent(EventFields):
 
     def contradicted_closure(self) -> v1.LoopClosure:
         """The loop closure that `is_contradicted`. ValueError if none is, LookupError
-        if it is gone, or contradicts nothing any more. To give it up, delete it:
+        if it is gone. To give it up, delete it:
 
             client.delete_loop_closure(event.contradicted_closure().name)
         """
-        candidate, evidence = contradicted(self)
-        closures = list(self.client.list_loop_closures(self.vehicle))
-        found = closure_of(candidate, evidence, closures) or closure_of(
-            candidate, evidence, closures,
-            self.client.find_contradictions(self.vehicle))
-        if found is None:
-            raise LookupError(f"the loop closure that confirmed {candidate.name} is "
-                              "gone, or contradicts nothing any more")
-        return found
+        name = contradicted(self)
+        for closure in self.client.list_loop_closures(self.vehicle):
+            if closure.name == name:
+                return closure
+        raise LookupError(f"{name} is gone")
 
     def uphold(self) -> v1.AddLoopClosureResponse:
         """Reports that a second look at a contradicted loop closure found it right: it
@@ -100,14 +96,13 @@ class WatchEvent(EventFields):
             loop_closure_id=closure.name.rpartition("/")[2])
 
 
-def contradicted(event: EventFields) -> tuple[v1.CheckCandidate, v1.Candidate]:
-    """The candidate whose loop closure contradicts others, and what was found."""
+def contradicted(event: EventFields) -> str:
+    """The name of the loop closure that contradicts others."""
     decided(event)
-    if not event.is_contradicted:
+    if event.candidate is None or not event.is_contradicted:
         raise ValueError(f"no loop closure of {event.vehicle} is contradicted by this "
                          "event")
-    assert event.candidate is not None and event.evidence is not None
-    return event.candidate, event.evidence
+    return event.candidate.decision
 
 
 def decided(event: EventFields) -> tuple[str, v1.Candidate]:

@@ -88,28 +88,16 @@ const DONE: Record<Deed['act'], string> = {
   reject: 'Rejected', undo: 'Undone: the decision about',
 };
 
-/** The loop closure that confirmed a contradicted candidate: the one that it
- * names, or that of its poses; or else, since a closure confirms candidates
- * beside it as well, the nearest of those that contradict others. Undefined of
- * other candidates, and where it is gone: then this is one as any other. */
+/** The loop closure that confirmed a contradicted candidate. Undefined of other
+ * candidates, and where it is gone: then this is one as any other. */
 async function closureOf(one: Waiting): Promise<LoopClosure|undefined> {
   if (!isContradicted(one)) return undefined;
-  const parent = `vehicles/${one.vehicle}`;
   const closures = await allPages(
-      pageToken => service.listLoopClosures(
-          {parent, pageToken, pageSize: CLOSURES_A_PAGE}),
+      pageToken => service.listLoopClosures({
+        parent: `vehicles/${one.vehicle}`, pageToken,
+        pageSize: CLOSURES_A_PAGE}),
       page => page.loopClosures);
-  if (one.decision) return closures.find(({name}) => name === one.decision);
-  const {query, matched} = pairOfWaiting(one);
-  const apart = ({querySequence, matchedSequence}: LoopClosure) =>
-      Math.abs(Number(querySequence) - query) +
-      Math.abs(Number(matchedSequence) - matched);
-  const same = closures.find(closure => apart(closure) === 0);
-  if (same) return same;
-  const {contradictions} = await service.findContradictions({vehicle: parent});
-  const names = new Set(contradictions.map(({loopClosure}) => loopClosure));
-  return closures.filter(({name}) => names.has(name))
-      .sort((a, b) => apart(a) - apart(b))[0];
+  return closures.find(({name}) => name === one.decision);
 }
 
 export function isBusy(key: string): boolean {

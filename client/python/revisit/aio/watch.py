@@ -13,7 +13,7 @@ import grpc
 from numpy.typing import ArrayLike
 
 from revisit import v1, watch
-from revisit._calls import CheckPages, closure_of
+from revisit._calls import CheckPages
 from revisit._watch_state import ANSWER_SECONDS, EventFields, WatchState
 from revisit.aio._channels import AioChannels
 from revisit.aio._signal import Signal
@@ -71,16 +71,11 @@ class WatchEvent(EventFields):
                                                   candidate=name)
 
     async def contradicted_closure(self) -> v1.LoopClosure:
-        candidate, evidence = contradicted(self)
-        closures = [one async for one in
-                    self.client.list_loop_closures(self.vehicle)]
-        found = closure_of(candidate, evidence, closures) or closure_of(
-            candidate, evidence, closures,
-            await self.client.find_contradictions(self.vehicle))
-        if found is None:
-            raise LookupError(f"the loop closure that confirmed {candidate.name} is "
-                              "gone, or contradicts nothing any more")
-        return found
+        name = contradicted(self)
+        async for closure in self.client.list_loop_closures(self.vehicle):
+            if closure.name == name:
+                return closure
+        raise LookupError(f"{name} is gone")
 
     async def uphold(self) -> v1.AddLoopClosureResponse:
         closure = await self.contradicted_closure()

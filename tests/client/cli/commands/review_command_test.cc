@@ -245,6 +245,7 @@ class ContradictedReviewTest : public ReviewCommandTest {
     v1::CheckCandidate* const candidate = checks_[2].mutable_states(1);
     candidate->set_state(v1::CANDIDATE_STATE_OPEN);
     candidate->set_cause(v1::CANDIDATE_CAUSE_CONTRADICTION);
+    candidate->set_decision("vehicles/a/loopClosures/150-20");
     // It comes first whatever it is worth.
     candidate->set_value_square_meters(0.0);
     server_.set_checks(checks_);

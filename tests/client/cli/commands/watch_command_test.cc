@@ -288,6 +288,7 @@ class ContradictedTest : public WatchCommandTest {
     v1::WatchCandidatesResponse event = EventOf("a", 1);
     v1::CandidateEvent* const told = event.mutable_candidate();
     told->mutable_candidate()->set_cause(v1::CANDIDATE_CAUSE_CONTRADICTION);
+    told->mutable_candidate()->set_decision("vehicles/a/loopClosures/150-20");
     told->mutable_evidence()->mutable_query()->set_sequence(150);
     told->mutable_evidence()->mutable_matched()->set_sequence(20);
     event_ = event;
@@ -316,35 +317,6 @@ TEST_F(ContradictedTest, RejectionDeletesTheClosureFirst) {
   EXPECT_THAT(server_.Deleted(), ElementsAre("vehicles/a/loopClosures/150-20"));
   EXPECT_THAT(server_.Decisions(),
               ElementsAre("reject vehicles/a/checks/100/candidates/1 150-20"));
-}
-
-TEST_F(ContradictedTest, ClosureBesideTheCandidateIsKnownByContradicting) {
-  // Nearer to 150-20 than to any other, but of none of the poses of a closure.
-  event_.mutable_candidate()
-      ->mutable_evidence()
-      ->mutable_matched()
-      ->set_sequence(21);
-  server_.AddEvent(event_);
-  v1::FindContradictionsResponse found;
-  found.add_contradictions()->set_loop_closure("vehicles/a/loopClosures/again");
-  server_.set_contradictions(found);
-  options_.command = "exit 0";
-  EXPECT_EQ(ExitCodeOf(Run()), 71);
-  ASSERT_THAT(server_.AddedClosures(), SizeIs(1));
-  EXPECT_EQ(server_.AddedClosures()[0].loop_closure_id(), "again");
-}
-
-TEST_F(ContradictedTest, ClosureThatIsNotFoundIsNeverReplacedByAnother) {
-  event_.mutable_candidate()
-      ->mutable_evidence()
-      ->mutable_matched()
-      ->set_sequence(21);
-  server_.AddEvent(event_);
-  options_.command = "exit 10";
-  EXPECT_EQ(ExitCodeOf(Run()), 71);
-  EXPECT_THAT(server_.Deleted(), IsEmpty());
-  EXPECT_THAT(server_.Decisions(),
-              ElementsAre("reject vehicles/a/checks/100/candidates/1 150-21"));
 }
 
 TEST_F(ContradictedTest, CandidateWhoseClosureIsGoneIsConfirmedAsAnyOther) {
