@@ -26,6 +26,35 @@ double Seconds(const timeval& time) {
          1e-6 * static_cast<double>(time.tv_usec);
 }
 
+std::string Folder(pid_t pid) { return "/proc/" + std::to_string(pid); }
+
+// The folder below /proc is that of a process or of a thread.
+double CpuSeconds(const std::filesystem::path& folder) {
+  std::ifstream file(folder / "stat");
+  std::string line;
+  std::getline(file, line);
+  // The name, in parentheses, may hold blanks; fields are counted behind it.
+  const std::size_t name_end = line.rfind(')');
+  if (name_end == std::string::npos) return 0.0;
+  std::istringstream fields(line.substr(name_end + 1));
+  const std::vector<std::string> values{
+      std::istream_iterator<std::string>(fields), {}};
+  if (values.size() < 13) return 0.0;
+  const double ticks = std::stod(values[11]) + std::stod(values[12]);
+  return ticks / static_cast<double>(sysconf(_SC_CLK_TCK));
+}
+
+double MemoryBytes(const std::filesystem::path& folder,
+                   const std::string& field) {
+  std::ifstream file(folder / "status");
+  std::string word;
+  while (file >> word) {
+    double kilobytes = 0.0;
+    if (word == field && file >> kilobytes) return 1024.0 * kilobytes;
+  }
+  return 0.0;
+}
+
 }  // namespace
 
 void Die(const std::string& message) {
@@ -79,27 +108,28 @@ ChildProcess::ChildProcess(const std::vector<std::string>& command,
 
 ChildProcess::~ChildProcess() { Stop(); }
 
-double ChildProcess::cpu_seconds() const {
-  std::ifstream file("/proc/" + std::to_string(pid_) + "/stat");
-  std::string line;
-  std::getline(file, line);
-  // The name, in parentheses, may hold blanks; fields are counted behind it.
-  std::istringstream fields(line.substr(line.rfind(')') + 2));
-  const std::vector<std::string> values{
-      std::istream_iterator<std::string>(fields), {}};
-  if (values.size() < 13) return 0.0;
-  const double ticks = std::stod(values[11]) + std::stod(values[12]);
-  return ticks / static_cast<double>(sysconf(_SC_CLK_TCK));
+double ChildProcess::cpu_seconds() const { return CpuSeconds(Folder(pid_)); }
+
+double ChildProcess::thread_cpu_seconds(const std::string& name) const {
+  double sum = 0.0;
+  std::error_code error;
+  for (const auto& task :
+       std::filesystem::directory_iterator(Folder(pid_) + "/task", error)) {
+    std::ifstream file(task.path() / "comm");
+    std::string comm;
+    if (std::getline(file, comm) && comm == name) {
+      sum += CpuSeconds(task.path());
+    }
+  }
+  return sum;
+}
+
+double ChildProcess::resident_bytes() const {
+  return MemoryBytes(Folder(pid_), "VmRSS:");
 }
 
 double ChildProcess::peak_bytes() const {
-  std::ifstream file("/proc/" + std::to_string(pid_) + "/status");
-  std::string word;
-  while (file >> word) {
-    double kilobytes = 0.0;
-    if (word == "VmHWM:" && file >> kilobytes) return 1024.0 * kilobytes;
-  }
-  return 0.0;
+  return MemoryBytes(Folder(pid_), "VmHWM:");
 }
 
 void ChildProcess::Stop() {

@@ -26,6 +26,10 @@ class ChildProcess {
   const std::string& address() const { return address_; }
   // CPU time of all its threads, user and system.
   double cpu_seconds() const;
+  // The same, of which only the threads with this name are counted.
+  double thread_cpu_seconds(const std::string& name) const;
+  // Memory that it holds (resident set).
+  double resident_bytes() const;
   // Most memory that it ever held (resident set).
   double peak_bytes() const;
   // Tells it to end (SIGTERM) and waits until it has.

@@ -2,7 +2,6 @@
 // nothing behind it, and SQLite with nothing before it. Prints JSON; see
 // tests/bench/run.
 #include <grpcpp/grpcpp.h>
-#include <unistd.h>
 
 #include <algorithm>
 #include <atomic>
@@ -10,215 +9,28 @@
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
-#include <cstring>
-#include <filesystem>
+#include <map>
 #include <memory>
-#include <sstream>
 #include <string>
 #include <thread>
 #include <vector>
 
-#include "boost/asio/ip/tcp.hpp"
 #include "nlohmann/json.hpp"
 #include "revisit/v1/pose_graph_service.grpc.pb.h"
 #include "tests/bench/child_process.h"
 #include "tests/bench/empty_server.h"
+#include "tests/bench/measured_server.h"
 #include "tests/bench/roads.h"
+#include "tests/bench/server_options.h"
 #include "tests/bench/sqlite_loop.h"
 #include "tests/bench/stream_load.h"
+#include "tests/bench/watch_round.h"
 
 namespace revisit::bench {
 namespace {
 
 using Clock = std::chrono::steady_clock;
 using nlohmann::json;
-
-struct Options {
-  // Each measurement lasts this long, and all are taken in turn this many
-  // times.
-  double seconds = 3.0;
-  int rounds = 3;
-  // Nodes of the vehicle that is asked, and of the one that is asked slowly.
-  std::int64_t nodes = 10'000;
-  std::int64_t many_nodes = 100'000;
-  // Where stores are made.
-  std::string directory;
-  // If not empty, the URL of a database with tables, to measure streams into
-  // beside those into a file.
-  std::string shared_store;
-  // If not empty, what alone is measured; of streams, only with this many poses
-  // a batch, if not 0.
-  std::string only;
-  int batch_poses = 0;
-};
-
-void SleepFor(double seconds) {
-  std::this_thread::sleep_for(std::chrono::duration<double>(seconds));
-}
-
-std::filesystem::path OwnPath() {
-  return std::filesystem::read_symlink("/proc/self/exe");
-}
-
-double Quantile(std::vector<double> values, double share) {
-  if (values.empty()) return 0.0;
-  std::sort(values.begin(), values.end());
-  const auto last = static_cast<double>(values.size() - 1);
-  return values[static_cast<std::size_t>(std::lround(share * last))];
-}
-
-json Latencies(const std::vector<double>& seconds) {
-  return {{"count", seconds.size()},
-          {"p50_ms", 1e3 * Quantile(seconds, 0.5)},
-          {"p99_ms", 1e3 * Quantile(seconds, 0.99)}};
-}
-
-// kScraped serves its metrics too.
-enum class Kind { kEmpty, kRevisit, kScraped, kShared };
-
-const char* NameOf(Kind kind) {
-  switch (kind) {
-    case Kind::kEmpty:
-      return "empty";
-    case Kind::kShared:
-      return "shared";
-    case Kind::kRevisit:
-    case Kind::kScraped:
-      break;
-  }
-  return "revisit";
-}
-
-// Vehicles of a shared store outlive the server that made them.
-std::string NewVehicleId() {
-  static std::atomic<int> made{0};
-  return "load-" + std::to_string(getpid()) + "-" + std::to_string(made++);
-}
-
-// A server with a store of its own.
-class Server {
- public:
-  Server(Kind kind, const Options& options)
-      : kind_(kind),
-        directory_(options.directory),
-        process_(Command(kind, kind == Kind::kShared ? options.shared_store
-                                                     : directory_.path()),
-                 directory_.path() + "/log") {}
-
-  const std::string& address() const { return process_.address(); }
-  double cpu_seconds() const { return process_.cpu_seconds(); }
-  double peak_bytes() const { return process_.peak_bytes(); }
-  std::string store() const { return directory_.path() + "/revisit.sqlite"; }
-
-  void AddVehicle(const std::string& id) {
-    if (kind_ != Kind::kEmpty) CreateVehicle(NewChannel(address()), id);
-  }
-
-  void Stop() { process_.Stop(); }
-
-  // After Stop(): writes that the store committed together, in the mean.
-  double WritesACommit() const {
-    const json stopped = LogLine("stopped");
-    return stopped.value("writes", 0.0) /
-           std::max(1.0, stopped.value("commits", 0.0));
-  }
-
-  // One page of /metrics. REQUIRES: this is kScraped.
-  std::string Scrape() const {
-    const std::string address =
-        LogLine("serving").value("admin_address", std::string());
-    const std::size_t colon = address.rfind(':');
-    if (colon == std::string::npos) Die("no admin_address in the log");
-    boost::asio::ip::tcp::iostream connection(address.substr(0, colon),
-                                              address.substr(colon + 1));
-    connection << "GET /metrics HTTP/1.1\r\nHost: " << address
-               << "\r\nConnection: close\r\n\r\n"
-               << std::flush;
-    std::ostringstream page;
-    page << connection.rdbuf();
-    if (page.str().find(" 200 OK") == std::string::npos) {
-      Die("/metrics: " + page.str());
-    }
-    return page.str();
-  }
-
- private:
-  // The line of the log with this event, or an empty object.
-  json LogLine(const std::string& event) const {
-    std::istringstream log(process_.Log());
-    std::string line;
-    while (std::getline(log, line)) {
-      json entry = json::parse(line, nullptr, false);
-      if (entry.is_object() && entry.value("event", "") == event) return entry;
-    }
-    return json::object();
-  }
-
-  static std::vector<std::string> Command(Kind kind, const std::string& store) {
-    const std::filesystem::path self = OwnPath();
-    if (kind == Kind::kEmpty) return {self.string(), "--empty-server"};
-    std::vector<std::string> command = {
-        (self.parent_path() / "revisitd").string(),
-        "--listen",
-        "127.0.0.1:0",
-        "--store",
-        store,
-        "--log-format",
-        "json",
-        "--idle-unload-minutes",
-        "1000"};
-    // Only here: where two commits are compared, the others may be older
-    // versions, which do not know the flag.
-    if (kind == Kind::kScraped) {
-      command.insert(command.end(), {"--admin-listen", "127.0.0.1:0"});
-    }
-    if (kind == Kind::kShared) {
-      // No other server asks.
-      command.insert(command.end(), {"--advertise-address", "127.0.0.1:1"});
-    }
-    return command;
-  }
-
-  const Kind kind_;
-  const ScratchDirectory directory_;
-  ChildProcess process_;
-};
-
-// Streams of as many vehicles, each on a connection of its own.
-class Streams {
- public:
-  Streams(Server* server, int vehicles, const LoadOptions& load) {
-    for (int i = 0; i < vehicles; ++i) {
-      const std::string id = NewVehicleId();
-      server->AddVehicle(id);
-      loads_.push_back(std::make_unique<StreamLoad>(
-          NewChannel(server->address()), "vehicles/" + id, load));
-    }
-    for (const auto& one : loads_) one->Start();
-  }
-
-  std::uint64_t acked_poses() const {
-    std::uint64_t sum = 0;
-    for (const auto& one : loads_) sum += one->acked_poses();
-    return sum;
-  }
-
-  std::vector<double> TakeLatencies() {
-    std::vector<double> all;
-    for (const auto& one : loads_) {
-      const std::vector<double> some = one->TakeLatencies();
-      all.insert(all.end(), some.begin(), some.end());
-    }
-    return all;
-  }
-
-  void Stop() {
-    for (const auto& one : loads_) one->Stop();
-  }
-
- private:
-  std::vector<std::unique_ptr<StreamLoad>> loads_;
-};
 
 json MeasureStreams(Kind kind, const Options& options, int vehicles,
                     int batch_poses) {
@@ -504,6 +316,8 @@ int Run(const Options& options) {
     if (Wanted(options, "metrics")) round["metrics"] = MetricsRound(options);
     if (Wanted(options, "query")) round["query"] = QueryRound(options);
     if (Wanted(options, "stall")) round["stall"] = StallRound(options);
+    // It takes minutes, so that only who asks for it by name has it.
+    if (options.only == "watch") round["watch"] = WatchRound(options, i);
     result["rounds"].push_back(std::move(round));
   }
   std::printf("%s\n", result.dump(1).c_str());
@@ -512,9 +326,43 @@ int Run(const Options& options) {
 
 constexpr char kUsage[] =
     "usage: revisit_server_bench [--seconds S] [--rounds N] [--nodes N]\n"
-    "           [--many-nodes N] [--directory DIR] "
-    "[--shared-store URL] [--only ingest|metrics|query|stall]\n"
-    "           [--batch-poses N]\n";
+    "           [--many-nodes N] [--directory DIR] [--shared-store URL]\n"
+    "           [--only ingest|metrics|query|stall] [--batch-poses N]\n"
+    "       revisit_server_bench --only watch [--streams N] [--watchers N]\n"
+    "           [--poses-per-second N] [--seconds S] [--rounds N]\n"
+    "           [--directory DIR] [--batch-poses N]\n";
+
+// Returns whether there is such a flag.
+bool SetOption(const std::string& flag, const std::string& value,
+               Options* options) {
+  const std::map<std::string, std::string*> texts = {
+      {"--directory", &options->directory},
+      {"--only", &options->only},
+      {"--shared-store", &options->shared_store}};
+  const std::map<std::string, double*> numbers = {
+      {"--poses-per-second", &options->poses_per_second},
+      {"--seconds", &options->seconds}};
+  const std::map<std::string, std::int64_t*> sizes = {
+      {"--many-nodes", &options->many_nodes}, {"--nodes", &options->nodes}};
+  const std::map<std::string, int*> counts = {
+      {"--batch-poses", &options->batch_poses},
+      {"--rounds", &options->rounds},
+      {"--streams", &options->streams},
+      {"--watchers", &options->watchers}};
+  if (texts.count(flag) > 0) {
+    *texts.at(flag) = value;
+  } else if (numbers.count(flag) > 0) {
+    *numbers.at(flag) = std::strtod(value.c_str(), nullptr);
+  } else if (sizes.count(flag) > 0) {
+    *sizes.at(flag) = std::strtol(value.c_str(), nullptr, 10);
+  } else if (counts.count(flag) > 0) {
+    *counts.at(flag) =
+        static_cast<int>(std::strtol(value.c_str(), nullptr, 10));
+  } else {
+    return false;
+  }
+  return true;
+}
 
 int Main(int argc, char** argv) {
   Options options;
@@ -522,27 +370,7 @@ int Main(int argc, char** argv) {
     const std::string flag = argv[i];
     if (flag == "--empty-server") return RunEmptyServer();
     const char* value = i + 1 < argc ? argv[++i] : nullptr;
-    if (value == nullptr) {
-      std::fputs(kUsage, stderr);
-      return 64;
-    }
-    if (flag == "--shared-store") {
-      options.shared_store = value;
-    } else if (flag == "--seconds") {
-      options.seconds = std::strtod(value, nullptr);
-    } else if (flag == "--rounds") {
-      options.rounds = static_cast<int>(std::strtol(value, nullptr, 10));
-    } else if (flag == "--nodes") {
-      options.nodes = std::strtol(value, nullptr, 10);
-    } else if (flag == "--many-nodes") {
-      options.many_nodes = std::strtol(value, nullptr, 10);
-    } else if (flag == "--directory") {
-      options.directory = value;
-    } else if (flag == "--batch-poses") {
-      options.batch_poses = static_cast<int>(std::strtol(value, nullptr, 10));
-    } else if (flag == "--only") {
-      options.only = value;
-    } else {
+    if (value == nullptr || !SetOption(flag, value, &options)) {
       std::fputs(kUsage, stderr);
       return 64;
     }

@@ -107,6 +107,51 @@ def stall_table(rounds):
               f"{median([e['search_p50_ms'] for e in entries]):12.1f}")
 
 
+WATCH_CASES = (("alone", "nobody"), ("unwanted", "all, let nothing pass"),
+               ("own", "one vehicle each"))
+
+
+def watch_table(rounds):
+    watches = [one["watch"] for one in rounds]
+    first = watches[0]
+    print(f"\nAcknowledgements of {first['streams']} vehicles with stored checks, ms, "
+          f"at {first['wanted_poses_per_second']:g} poses a second\ntogether, beside "
+          f"{first['watchers']} watches; KiB of the server a watch once all have "
+          "begun, and MiB beyond\nthose of nobody once all is told; checks owed after "
+          "the load, and seconds until none is;\nprocessor seconds of the feed's "
+          "thread, and its share of a core during the load")
+    print(f"{'watched':22}{'ack p50':>8}  {'of nobody':20}{'p99':>8}  {'of nobody':20}"
+          f"{'KiB':>7}{'MiB':>7}{'owed':>7}{'s':>6}{'feed':>6}{'share':>7}"
+          f"{'told':>8}")
+    for name, label in WATCH_CASES:
+        def mid(key, name=name):
+            return median([watch[name][key] for watch in watches])
+
+        def ratio(key, name=name):
+            return spread([watch[name][key] / watch["alone"][key]
+                           for watch in watches])
+
+        def beyond(key, name=name):
+            return median([watch[name][key] - watch["alone"][key]
+                           for watch in watches])
+
+        begun = median([watch[name]["resident_watched_bytes"] -
+                        watch[name]["resident_bytes"] for watch in watches]) / 1024
+        memory = (f"{'':14}" if name == "alone" else
+                  f"{begun / first['watchers']:7.1f}"
+                  f"{beyond('resident_told_bytes') / 2**20:7.1f}")
+        print(f"{label:22}{mid('p50_ms'):8.2f}  {ratio('p50_ms'):20}"
+              f"{mid('p99_ms'):8.2f}  {ratio('p99_ms'):20}{memory}"
+              f"{mid('check_debt'):7.0f}{mid('debt_seconds'):6.1f}"
+              f"{mid('feed_cpu_seconds'):6.2f}{mid('feed_cpu_share'):7.1%}"
+              f"{mid('told'):8.0f}")
+    print("By rounds, p50 and p99:")
+    for number, watch in enumerate(watches, 1):
+        print(f"  {number}: " + "; ".join(
+            f"{label} {watch[name]['p50_ms']:.2f}, {watch[name]['p99_ms']:.2f}"
+            for name, label in WATCH_CASES))
+
+
 def main():
     with open(sys.argv[1], encoding="utf-8") as file:
         result = json.load(file)
@@ -115,7 +160,8 @@ def main():
           f"{result['seconds']:g} s each measurement; load of the machine "
           f"{result['load']:.1f}")
     for part, table in (("ingest", ingest_table), ("metrics", metrics_table),
-                        ("query", query_table), ("stall", stall_table)):
+                        ("query", query_table), ("stall", stall_table),
+                        ("watch", watch_table)):
         if all(part in one for one in rounds):
             table(rounds)
 

@@ -15,40 +15,18 @@ namespace {
 using Clock = std::chrono::steady_clock;
 
 constexpr double kRadius = 200.0;
+constexpr double kLapSpacing = 2.0;
 
-}  // namespace
-
-std::shared_ptr<grpc::Channel> NewChannel(const std::string& address) {
-  grpc::ChannelArguments arguments;
-  arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);
-  return grpc::CreateCustomChannel(address, grpc::InsecureChannelCredentials(),
-                                   arguments);
-}
-
-void CreateVehicle(const std::shared_ptr<grpc::Channel>& channel,
-                   const std::string& id) {
-  const auto stub = v1::PoseGraphService::NewStub(channel);
-  grpc::ClientContext context;
-  v1::CreateVehicleRequest request;
-  request.set_vehicle_id(id);
-  v1::CreateVehicleResponse response;
-  const grpc::Status status = stub->CreateVehicle(&context, request, &response);
-  if (!status.ok()) Die("CreateVehicle: " + status.error_message());
-}
-
-void SetPose(std::uint64_t sequence, v1::Pose* pose) {
-  const double along = static_cast<double>(sequence);
-  const double angle = along / kRadius;
-  // A snake of half circles.
-  const double turn = std::fmod(angle, 2.0 * M_PI);
-  const double heading = turn < M_PI ? turn : 2.0 * M_PI - turn;
+// All poses of the load have this in common, after so many metres of way.
+void SetPlace(std::uint64_t sequence, double along, double x, double y,
+              double heading, v1::Pose* pose) {
   pose->set_sequence(sequence);
   pose->mutable_stamp()->set_seconds(1'700'000'000 +
                                      static_cast<std::int64_t>(sequence / 10));
   pose->mutable_stamp()->set_nanos(
       static_cast<std::int32_t>(sequence % 10) * 100'000'000 + 1);
-  pose->mutable_local()->set_x_meters(kRadius * std::sin(heading));
-  pose->mutable_local()->set_y_meters(along);
+  pose->mutable_local()->set_x_meters(x);
+  pose->mutable_local()->set_y_meters(y);
   pose->mutable_local()->set_z_meters(0.25);
   pose->set_heading_radians(heading);
   v1::Covariance* covariance = pose->mutable_covariance();
@@ -61,6 +39,45 @@ void SetPose(std::uint64_t sequence, v1::Pose* pose) {
   values[3] = 0.01 + 1e-4 * along;
   values[4] = 1e-5;
   values[5] = 1e-4 + 1e-7 * along;
+}
+
+}  // namespace
+
+std::shared_ptr<grpc::Channel> NewChannel(const std::string& address) {
+  grpc::ChannelArguments arguments;
+  arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);
+  return grpc::CreateCustomChannel(address, grpc::InsecureChannelCredentials(),
+                                   arguments);
+}
+
+void CreateVehicle(const std::shared_ptr<grpc::Channel>& channel,
+                   const std::string& id, const v1::VehicleSettings& settings) {
+  const auto stub = v1::PoseGraphService::NewStub(channel);
+  grpc::ClientContext context;
+  v1::CreateVehicleRequest request;
+  request.set_vehicle_id(id);
+  *request.mutable_vehicle()->mutable_settings() = settings;
+  v1::CreateVehicleResponse response;
+  const grpc::Status status = stub->CreateVehicle(&context, request, &response);
+  if (!status.ok()) Die("CreateVehicle: " + status.error_message());
+}
+
+void SetPose(std::uint64_t sequence, v1::Pose* pose) {
+  const double along = static_cast<double>(sequence);
+  const double angle = along / kRadius;
+  // A snake of half circles.
+  const double turn = std::fmod(angle, 2.0 * M_PI);
+  const double heading = turn < M_PI ? turn : 2.0 * M_PI - turn;
+  SetPlace(sequence, along, kRadius * std::sin(heading), along, heading, pose);
+}
+
+void SetLapPose(std::uint64_t sequence, v1::Pose* pose) {
+  constexpr double kLapRadius = kLapPoses * kLapSpacing / (2.0 * M_PI);
+  const double along = kLapSpacing * static_cast<double>(sequence);
+  const double angle = along / kLapRadius;
+  SetPlace(sequence, along, kLapRadius * std::cos(angle),
+           kLapRadius * std::sin(angle),
+           std::remainder(angle + M_PI / 2.0, 2.0 * M_PI), pose);
 }
 
 class StreamLoad::Reactor final
@@ -101,6 +118,7 @@ class StreamLoad::Reactor final
           in_flight_.pop_front();
         }
         Send();
+        if (in_flight_.empty()) changed_.notify_all();
       }
     }
     StartRead(&response_);
@@ -123,6 +141,19 @@ class StreamLoad::Reactor final
     const std::lock_guard<std::mutex> lock(mutex_);
     sending_ = true;
     Send();
+  }
+
+  void Send(Clock::time_point due) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    due_.push_back(due);
+    Send();
+  }
+
+  void WaitUntilAcked() {
+    std::unique_lock<std::mutex> lock(mutex_);
+    changed_.wait(
+        lock, [this] { return done_ || (due_.empty() && in_flight_.empty()); });
+    if (done_) Die("StreamPoses: " + status_.error_message());
   }
 
   void Stop() {
@@ -166,7 +197,7 @@ class StreamLoad::Reactor final
       return;
     }
     const auto batch = static_cast<std::uint64_t>(options_.batch_poses);
-    if (!sending_ ||
+    if ((!sending_ && due_.empty()) ||
         static_cast<int>(in_flight_.size()) >= options_.window_batches ||
         (!in_flight_.empty() &&
          sent_ + batch - acked_ >
@@ -175,8 +206,9 @@ class StreamLoad::Reactor final
     }
     auto* poses = request_.mutable_batch()->mutable_poses();
     while (poses->size() < options_.batch_poses) poses->Add();
-    for (v1::Pose& pose : *poses) SetPose(++sent_, &pose);
-    in_flight_.push_back({sent_, Clock::now()});
+    for (v1::Pose& pose : *poses) options_.set_pose(++sent_, &pose);
+    in_flight_.push_back({sent_, due_.empty() ? Clock::now() : due_.front()});
+    if (!due_.empty()) due_.pop_front();
     writing_ = true;
     StartWrite(&request_);
   }
@@ -198,6 +230,8 @@ class StreamLoad::Reactor final
   std::uint64_t first_ = 0;
   std::uint64_t sent_ = 0;
   std::uint64_t acked_ = 0;
+  // When each batch that Send() was called for was due, and is not sent yet.
+  std::deque<Clock::time_point> due_;
   std::deque<InFlight> in_flight_;
   std::vector<double> latencies_;
   grpc::Status status_;
@@ -210,6 +244,10 @@ StreamLoad::StreamLoad(const std::shared_ptr<grpc::Channel>& channel,
 StreamLoad::~StreamLoad() { Stop(); }
 
 void StreamLoad::Start() { reactor_->Start(); }
+
+void StreamLoad::Send(Clock::time_point due) { reactor_->Send(due); }
+
+void StreamLoad::WaitUntilAcked() { reactor_->WaitUntilAcked(); }
 
 void StreamLoad::Stop() { reactor_->Stop(); }
 

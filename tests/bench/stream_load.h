@@ -1,4 +1,5 @@
-// A client that streams poses as fast as its window allows, and measures.
+// A client that streams poses as fast as its window allows, or as it is told
+// to, and measures.
 #ifndef REVISIT_TESTS_BENCH_STREAM_LOAD_H_
 #define REVISIT_TESTS_BENCH_STREAM_LOAD_H_
 
@@ -12,19 +13,28 @@
 #include <vector>
 
 #include "revisit/v1/geometry.pb.h"
+#include "revisit/v1/vehicle.pb.h"
 
 namespace revisit::bench {
 
+// Makes the pose of this sequence of a vehicle that drives on at 1 m a pose, in
+// curves, with stamps and PLANAR_6 covariances.
+void SetPose(std::uint64_t sequence, v1::Pose* pose);
+
+// The same for a vehicle that drives the same lap again and again, 2 m a pose.
+inline constexpr int kLapPoses = 200;
+void SetLapPose(std::uint64_t sequence, v1::Pose* pose);
+
 struct LoadOptions {
   int batch_poses = 64;
+  void (*set_pose)(std::uint64_t, v1::Pose*) = SetPose;
   // A batch is sent once fewer than this many poses, and batches, are not
   // acknowledged.
   int window_poses = 4096;
   int window_batches = 1024;
 };
 
-// One stream of one vehicle. The poses are of a vehicle that drives on at 1 m a
-// pose, in curves, with stamps and PLANAR_6 covariances: about 115 bytes each.
+// One stream of one vehicle, whose poses have about 115 bytes each.
 class StreamLoad {
  public:
   // Opens the stream and waits until it is open.
@@ -38,12 +48,16 @@ class StreamLoad {
 
   // Sends from now on.
   void Start();
+  // Sends a batch that was due then, as soon as the window allows.
+  void Send(std::chrono::steady_clock::time_point due);
+  // Waits until all that Send() was called for is acknowledged.
+  void WaitUntilAcked();
   // Sends no more, and waits until all is acknowledged and the stream closed.
   void Stop();
 
   std::uint64_t acked_poses() const;
-  // From the call that sends a batch to its acknowledgement; cleared by the
-  // call. Seconds.
+  // From the call that sends a batch, or from when it was due, to its
+  // acknowledgement; cleared by the call. Seconds.
   std::vector<double> TakeLatencies();
 
  private:
@@ -59,10 +73,8 @@ void Upload(const std::shared_ptr<grpc::Channel>& channel,
 std::shared_ptr<grpc::Channel> NewChannel(const std::string& address);
 
 void CreateVehicle(const std::shared_ptr<grpc::Channel>& channel,
-                   const std::string& id);
-
-// A pose of the load, of this sequence.
-void SetPose(std::uint64_t sequence, v1::Pose* pose);
+                   const std::string& id,
+                   const v1::VehicleSettings& settings = {});
 
 }  // namespace revisit::bench
 

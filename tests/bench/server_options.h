@@ -1,0 +1,36 @@
+// What revisit_server_bench is asked to measure.
+#ifndef REVISIT_TESTS_BENCH_SERVER_OPTIONS_H_
+#define REVISIT_TESTS_BENCH_SERVER_OPTIONS_H_
+
+#include <cstdint>
+#include <string>
+
+namespace revisit::bench {
+
+struct Options {
+  // Each measurement lasts this long, and all are taken in turn this many
+  // times.
+  double seconds = 3.0;
+  int rounds = 3;
+  // Nodes of the vehicle that is asked, and of the one that is asked slowly.
+  std::int64_t nodes = 10'000;
+  std::int64_t many_nodes = 100'000;
+  // Where stores are made.
+  std::string directory;
+  // If not empty, the URL of a database with tables, to measure streams into
+  // beside those into a file.
+  std::string shared_store;
+  // If not empty, what alone is measured; of streams, only with this many poses
+  // a batch, if not 0.
+  std::string only;
+  int batch_poses = 0;
+  // So many vehicles, each with a stream, have their checks stored, and so many
+  // watches look at them. The rate is that of all poses together.
+  int streams = 1000;
+  int watchers = 1000;
+  double poses_per_second = 40'000.0;
+};
+
+}  // namespace revisit::bench
+
+#endif  // REVISIT_TESTS_BENCH_SERVER_OPTIONS_H_
