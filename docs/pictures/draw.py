@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
-"""Draws the pictures of docs/concepts.md: docs/pictures/draw.py. Those of real drives
-ask a server of their own, of the programs in REVISIT_BIN (build/release/bin); the
-others are diagrams. A test compares the files with what this draws.
+"""Draws the pictures of the documents: docs/pictures/draw.py. Those of real drives
+ask a server of their own, of the programs in REVISIT_BIN (build/release/bin); that of
+looks shows looks.csv, which tests/evaluation/looks.py measures on drives that cannot be
+shipped; the others are diagrams. A test compares the files with what this draws.
 
 Each picture has a ground of its own, so it can be read on light and on dark pages, and
 follows the reader's colour scheme where a browser tells it."""
@@ -292,6 +293,42 @@ def verdicts():
     return picture
 
 
+# ---- Measurements
+
+
+# By the columns of looks.csv: how each line is drawn, and what it is called.
+ORDERS = {"value": ("blue", "by value"), "probability": ("orange", "by probability"),
+          "time": ("green", "by time"), "random": ("soft dashed", "at random")}
+LOOKS_SHOWN = 30
+
+
+def looks():
+    with open(HERE / "looks.csv", encoding="ascii", newline="") as file:
+        rows = [{name: float(value) for name, value in row.items()}
+                for row in csv.DictReader(file)][:LOOKS_SHOWN + 1]
+    picture = Picture(760, 330, "How much of the drift is gone after so many looks")
+
+    def at(count, share):
+        return 90 + 21 * count, 270 - 220 * share
+
+    for percent in range(0, 101, 20):
+        y = at(0, percent / 100)[1]
+        picture.path([(90, y), (720, y)], "ink dashed thin" if percent == 80
+                     else "line thin")
+        picture.text((82, y + 4), f"{percent} %", "soft small", "end")
+    for count in range(0, LOOKS_SHOWN + 1, 5):
+        picture.text((at(count, 0)[0], 288), str(count), "soft small", "middle")
+    picture.text((405, 312), "looks at each drive", "soft", "middle")
+    picture.text((90, 30), "How much is gone of the error that loop closures take away",
+                 "bold")
+    for row, (order, (classes, words)) in enumerate(ORDERS.items()):
+        picture.path([at(row["looks"], row[order]) for row in rows], classes)
+        y = 197 + 22 * row
+        picture.path([(560, y - 4), (590, y - 4)], classes)
+        picture.text((600, y), words, classes.split()[0])
+    return picture
+
+
 # ---- Real drives
 
 
@@ -504,7 +541,8 @@ def belief(checks):
 def pictures():
     """By their names, the files as they are to be."""
     made = {"poses-and-nodes": poses_and_nodes(), "round-trip": round_trip(),
-            "gate": gate(), "interval": interval(), "verdicts": verdicts()}
+            "gate": gate(), "interval": interval(), "verdicts": verdicts(),
+            "looks": looks()}
     with tempfile.TemporaryDirectory() as directory, Server(directory) as server:
         checks = stream(server.address, "honest", DRIVE)
         made["drift"] = drift(rows_of_drive(), checks)

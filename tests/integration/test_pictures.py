@@ -1,4 +1,4 @@
-"""The pictures of docs/concepts.md are those that docs/pictures/draw.py draws, with
+"""The pictures of the documents are those that docs/pictures/draw.py draws, with
 what the server answers today."""
 
 import os
