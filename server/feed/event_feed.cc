@@ -29,14 +29,16 @@ std::string IdIn(const std::string& name) {
 FeedEventPtr Decode(const EventRecord& record) {
   auto event = std::make_shared<FeedEvent>();
   event->position = record.position;
-  event->bytes = record.payload.size() + sizeof(FeedEvent);
   if (record.payload.empty() || !EncodeEvent(record, &event->message).ok()) {
     event->message.Clear();
-    return event;
+  } else {
+    event->vehicle_id = IdIn(event->message.has_vehicle_deleted()
+                                 ? event->message.vehicle_deleted().vehicle()
+                                 : event->message.candidate().check());
   }
-  event->vehicle_id = IdIn(event->message.has_vehicle_deleted()
-                               ? event->message.vehicle_deleted().vehicle()
-                               : event->message.candidate().check());
+  // What is decoded takes some times as much as its payload.
+  event->bytes = sizeof(FeedEvent) - sizeof(event->message) +
+                 event->message.SpaceUsedLong();
   return event;
 }
 

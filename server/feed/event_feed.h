@@ -34,6 +34,7 @@ struct FeedEvent {
   // of it then, and whoever has come to it goes on behind it.
   std::string vehicle_id;
   v1::WatchCandidatesResponse message;
+  // The memory that it takes.
   std::size_t bytes = 0;
 };
 using FeedEventPtr = std::shared_ptr<const FeedEvent>;
