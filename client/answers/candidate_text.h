@@ -54,7 +54,7 @@ std::string IntervalText(const v1::PlaceInterval& interval);
 // CheckCandidate.value_square_meters, as people read it.
 std::string ValueText(const v1::CheckCandidate& candidate);
 
-// What is said of a check that is stale.
+// Says that a check is stale.
 inline constexpr char kStaleText[] =
     "stale: what this rests on has changed, and it waits to be searched again";
 

@@ -60,9 +60,9 @@ inline std::string OrderOf(const v1::Check& check) {
   return name.substr(0, slash) + " " + sequence;
 }
 
-// What the order of a list is.
+// How a list is ordered.
 enum class PageOrder {
-  // That of OrderOf(), which never changes.
+  // The order of OrderOf(), which never changes.
   kByName,
   // One that may change while the pages are read, so that an item comes twice.
   kChanging,

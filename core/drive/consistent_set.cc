@@ -95,7 +95,7 @@ void ConsistentSetSearch::OrderByDegree(const ConsistencyGraph& graph) {
   std::vector<std::size_t> left(size);
   std::iota(left.begin(), left.end(), std::size_t{0});
   for (std::size_t at = size; at-- > 0;) {
-    // Of those of one degree, the one that the caller has last.
+    // The last one of the caller's goes first where degrees are equal.
     const auto least = std::min_element(
         left.begin(), left.end(), [&degrees](std::size_t a, std::size_t b) {
           return degrees[a] != degrees[b] ? degrees[a] < degrees[b] : a > b;

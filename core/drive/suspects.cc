@@ -121,7 +121,8 @@ StateVector<D> DifferenceOf(const RelativeEstimate<D>& a,
   return ToVector<D>(Difference(a.relative, b.relative));
 }
 
-// Of two independent estimates; nothing where they are ill-conditioned.
+// The distance of two independent estimates; nothing where they are
+// ill-conditioned.
 template <int D>
 std::optional<double> SquaredDistance(const RelativeEstimate<D>& a,
                                       const RelativeEstimate<D>& b) {
@@ -331,8 +332,9 @@ class SuspectSearch::ImplIn : public Impl {
     return squared ? ChiSquaredAbove(D, *squared) : 1.0;
   }
 
-  // Those first that contradict the fewest, and then those that are likelier by
-  // themselves: of two that contradict each other, that one is believed.
+  // Sorts a component: those first that contradict the fewest, and then those
+  // that are likelier by themselves: of two that contradict each other, that
+  // one is believed.
   void SortByTrust(std::vector<std::size_t>* component) const {
     std::vector<std::pair<std::pair<std::size_t, double>, std::size_t>> order;
     for (const std::size_t i : *component) {
@@ -373,8 +375,8 @@ class SuspectSearch::ImplIn : public Impl {
     return true;
   }
 
-  // Those that are believed on one side of a closure, of which the nearest
-  // along the path at both ends are taken: the farthest in the order first.
+  // The closures that are believed on one side of closure i: the nearest along
+  // the path at both ends, of which the farthest comes first.
   std::vector<std::size_t> Given(std::size_t i, bool behind) const {
     std::vector<std::pair<double, std::size_t>> ways;
     for (std::size_t k = 1; k <= kReach; ++k) {
@@ -392,7 +394,8 @@ class SuspectSearch::ImplIn : public Impl {
     return given;
   }
 
-  // What they say of a closure, one after the other; nothing of none.
+  // The estimate of closure i by the given ones, taken one after the other;
+  // nothing where none is given.
   std::optional<Estimate> Predict(std::size_t i,
                                   const std::vector<std::size_t>& given) const {
     if (given.empty()) return std::nullopt;
@@ -412,9 +415,9 @@ class SuspectSearch::ImplIn : public Impl {
            std::abs(a.matched.meters - b.matched.meters);
   }
 
-  // What those say of a closure that are believed; nothing where there are
-  // none. The two sides are independent where their ways to the matched pose
-  // have nothing in common; otherwise the nearer one counts.
+  // The estimate of closure i by those that are believed; nothing where there
+  // are none. The two sides are independent where their ways to the matched
+  // pose have nothing in common; otherwise the nearer one counts.
   std::optional<Estimate> PredictByBoth(std::size_t i) const {
     const std::vector<std::size_t> before = Given(i, /*behind=*/false);
     const std::vector<std::size_t> behind = Given(i, /*behind=*/true);
@@ -468,7 +471,7 @@ class SuspectSearch::ImplIn : public Impl {
   }
 
   const double threshold_;
-  // Of the judged closures, in the order in which they came.
+  // The judged closures by name, in the order in which they came.
   std::vector<Suspect> named_;
   // The same along the path of their queries.
   std::vector<Closure> closures_;

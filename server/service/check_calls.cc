@@ -58,7 +58,7 @@ struct ListOptions {
   CandidateFilter filter;
   bool fresh_only = false;
   int looks_per_kilometer = 0;
-  // That of the page tokens.
+  // Names the list in page tokens.
   std::string list;
   int page_size = 0;
 };
@@ -167,8 +167,8 @@ class Page {
 
   // A check in the order of value.
   struct Ranked {
-    // That of its most valuable open candidate; negative if it has none. A loop
-    // closure that others contradict comes before all.
+    // The value of its most valuable open candidate; negative if it has none. A
+    // loop closure that others contradict comes before all.
     double value = -1.0;
     std::uint64_t sequence = 0;
   };

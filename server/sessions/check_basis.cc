@@ -81,7 +81,8 @@ void CheckBasis::Refresh() {
   const Version now = version();
   if (version_ == now) return;
   if (!version_ || version_->config != now.config) {
-    // Of the config, what searches and the choice of candidates depend on.
+    // The part of the config that searches and the choice of candidates depend
+    // on.
     VehicleConfig config;
     config.checks = ChecksKept::kStored;
     config.drive = vehicle_->head.config().drive;

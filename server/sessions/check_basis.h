@@ -47,7 +47,7 @@ class CheckBasis {
       sums_.emplace_back(place, hash);
     }
     void Finish();
-    // Those at places up to this one, and below it.
+    // The sum of the hashes at places up to this one, and below it.
     std::uint64_t UpTo(double place) const;
     std::uint64_t Below(double place) const;
 

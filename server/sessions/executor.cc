@@ -171,7 +171,7 @@ struct Strand::State : std::enable_shared_from_this<Strand::State> {
   const Lanes lanes;
   Mutex mutex;
   std::deque<Task> tasks ABSL_GUARDED_BY(mutex);
-  // Those of the tasks that only have a search wait again.
+  // Counts the tasks that only have a search wait again.
   std::size_t searches_ahead ABSL_GUARDED_BY(mutex) = 0;
   // Whether a thread is in a task, or was asked to be.
   bool taken ABSL_GUARDED_BY(mutex) = false;

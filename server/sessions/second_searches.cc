@@ -243,7 +243,7 @@ void SecondSearches::LookAt(const CheckRecord& record, ChecksWrite* write) {
 void SecondSearches::EndLook() {
   std::sort(
       waiting_.begin(), waiting_.end(), [](const Waiting& a, const Waiting& b) {
-        // Of equal ones, the earlier is searched first.
+        // The earlier of equal ones is searched first.
         return a.value != b.value ? a.value < b.value : a.sequence > b.sequence;
       });
   looked_ = looks_at_;

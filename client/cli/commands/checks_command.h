@@ -19,7 +19,7 @@ struct ChecksOptions {
   // Id or name; "-" for all vehicles.
   std::string vehicle;
   v1::CandidateFilter filter;
-  // Of one vehicle alone, unless UNSPECIFIED or BY_TIME.
+  // The order of one vehicle's checks, unless it is UNSPECIFIED or BY_TIME.
   v1::ListChecksOrder order = v1::LIST_CHECKS_ORDER_UNSPECIFIED;
   // Leaves out checks that wait to be searched again.
   bool fresh_only = false;

@@ -329,7 +329,7 @@ class Review {
   std::istream& answers_;
   const Terminal& terminal_;
   Queue queue_;
-  // Those that stand, the last one at the end.
+  // The decisions that stand, the last one at the end.
   std::vector<CandidateDecision> decisions_;
   int confirmed_ = 0;
   int rejected_ = 0;
