@@ -48,7 +48,7 @@ void ConsistencyGraph::SetAgree(std::size_t i, std::size_t j, bool agree) {
   }
 }
 
-ConsistentSetSearch::ConsistentSetSearch(ConsistencyGraph graph,
+ConsistentSetSearch::ConsistentSetSearch(const ConsistencyGraph& graph,
                                          std::int64_t most_steps)
     : graph_(graph.size()),
       numbers_(graph.size()),

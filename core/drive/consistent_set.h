@@ -66,7 +66,7 @@ inline constexpr std::int64_t kMostCliqueSteps = 1'000'000;
 class ConsistentSetSearch {
  public:
   // REQUIRES: most_steps >= 0.
-  explicit ConsistentSetSearch(ConsistencyGraph graph,
+  explicit ConsistentSetSearch(const ConsistencyGraph& graph,
                                std::int64_t most_steps = kMostCliqueSteps);
 
   // Goes on until all is done, and returns true, or until it is told to stop,

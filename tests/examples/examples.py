@@ -217,6 +217,14 @@ def check_again(language, folder, server, vehicle_id, last):
            and "candidate: " not in output, f"again, it ends with {code}:", output)
 
 
+def kept_cursor(folder):
+    """The cursor that a watch keeps; None where it has none, or has just dropped it."""
+    try:
+        return (folder / "watch.cursor").read_text()
+    except FileNotFoundError:
+        return None
+
+
 def check_watch(language, folder):
     """The watch goes on where it was after whatever breaks it."""
     (folder / "watch.cursor").unlink(missing_ok=True)
@@ -226,8 +234,7 @@ def check_watch(language, folder):
         command = commands(language, "watch").replace(ARGUMENTS[0], address)
         process = shell(command, folder, RUN_SECONDS, log)
         try:
-            wait_until(lambda: (folder / "watch.cursor").exists()
-                       and (folder / "watch.cursor").read_text() == "after-6"
+            wait_until(lambda: kept_cursor(folder) == "after-6"
                        or process.poll() is not None, "last event", RUN_SECONDS)
         finally:
             process.terminate()
