@@ -4,8 +4,8 @@
 #include <limits>
 #include <string>
 
+#include "core/drive/node_range.h"
 #include "core/drive/pose_graph.h"
-#include "core/search/candidates/candidate.h"
 #include "xxhash.h"
 
 namespace revisit::server {

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <utility>
 
+#include "core/drive/node_range.h"
 #include "core/search/candidates/value.h"
 
 namespace revisit::server {

@@ -6,6 +6,7 @@
 
 #include "core/drive/drive.h"
 #include "core/drive/dropped_stretch.h"
+#include "core/drive/node_range.h"
 #include "core/drive/pose_graph.h"
 #include "server/sessions/contradicted_closures.h"
 #include "server/storage/storage.h"

@@ -303,9 +303,9 @@ TEST_F(SecondSearchesTest, AChangeAllowsSoManySearchesAndTheRestWaits) {
   const std::uint64_t most = 2 * kMostChangesAllowed;
   EXPECT_LE(searched() - before, most);
   const auto stored = Stored();
-  EXPECT_GE(static_cast<std::uint64_t>(
-                std::count_if(stored.begin(), stored.end(),
-                              [](const auto& one) { return one.second.stale; })),
+  EXPECT_GE(static_cast<std::uint64_t>(std::count_if(
+                stored.begin(), stored.end(),
+                [](const auto& one) { return one.second.stale; })),
             all - most);
   EXPECT_TRUE(session_->has_second_searches());
   ASSERT_TRUE(IsFresh());
