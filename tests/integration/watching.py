@@ -8,7 +8,7 @@ import time
 import grpc
 
 from stubs import PoseGraphServiceStub, api
-from wire import LOOP_CLOSURES, REJECTED_CANDIDATES, get
+from wire import LOOP_CLOSURES, REJECTED_CANDIDATES, decode_failure, get
 
 
 class Watcher:
@@ -147,9 +147,19 @@ def change_pairs(stub, vehicle, rng, pairs):
     found = check.latest if state.latest_rank else check.candidates
     candidate = next(one for one in found.candidates
                      if one.rank == (state.latest_rank or state.rank))
-    added, _ = kind.add(stub, vehicle, candidate.query.sequence,
-                        candidate.matched.sequence)
-    pairs.append((kind, added.name))
+    try:
+        added, _ = kind.add(stub, vehicle, candidate.query.sequence,
+                            candidate.matched.sequence)
+    except grpc.RpcError as error:
+        # Another pair decided on it and was deleted, and one of the other kind is
+        # still there, until a second search withdraws the candidate.
+        if error.code() is not grpc.StatusCode.FAILED_PRECONDITION:
+            raise
+        assert decode_failure(error).reason == "POSE_PAIR_CONFLICT"
+        return
+    # What was added again is there once.
+    if (kind, added.name) not in pairs:
+        pairs.append((kind, added.name))
 
 
 UNDECIDED = (api.CANDIDATE_STATE_OPEN, api.CANDIDATE_STATE_WITHDRAWN)
