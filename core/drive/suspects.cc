@@ -57,8 +57,8 @@ struct JudgedClosure {
   std::size_t number = 0;
 };
 
-// What dead reckoning adds between two poses to the error of the second as seen
-// from the first, in the axes of the local frame.
+// The covariance that dead reckoning adds between two poses to the error of the
+// second as seen from the first, in the axes of the local frame.
 template <int D>
 StateMatrix<D> AddedBetween(const ClosureEnd<D>& from,
                             const ClosureEnd<D>& to) {
@@ -81,8 +81,8 @@ double MetersBetween(const Pose& a, const Pose& b) {
   return std::hypot(a.x - b.x, a.y - b.y);
 }
 
-// What an estimate for one closure says of another one, along the path at both
-// ends.
+// Carries an estimate for one closure along the path at both ends to another
+// closure.
 template <int D>
 RelativeEstimate<D> CarriedAlong(const RelativeEstimate<D>& estimate,
                                  const JudgedClosure<D>& from,

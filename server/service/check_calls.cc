@@ -38,13 +38,18 @@ absl::Status CheckNotFound(const ParsedCheckName& name) {
                    "' has no stored check at sequence ", name.sequence));
 }
 
+// VEHICLE_NOT_FOUND where there is none.
+absl::StatusOr<VehicleRecord> FindVehicle(Storage* storage,
+                                          const std::string& id) {
+  absl::StatusOr<VehicleRecord> vehicle = storage->GetVehicle(id);
+  if (absl::IsNotFound(vehicle.status())) return VehicleNotFound(id);
+  return vehicle;
+}
+
 absl::Status ReadCheck(Storage* storage, const ParsedCheckName& name,
                        v1::Check* check) {
   const absl::StatusOr<VehicleRecord> vehicle =
-      storage->GetVehicle(name.vehicle_id);
-  if (absl::IsNotFound(vehicle.status())) {
-    return VehicleNotFound(name.vehicle_id);
-  }
+      FindVehicle(storage, name.vehicle_id);
   if (!vehicle.ok()) return vehicle.status();
   const absl::StatusOr<std::vector<CheckRecord>> found = storage->ListChecks(
       vehicle->key, name.sequence, name.sequence, /*open_only=*/false, 1);
@@ -77,8 +82,7 @@ class Page {
   absl::Status ListOf(const std::string& vehicle_id,
                       const VehiclePlace& after) {
     const absl::StatusOr<VehicleRecord> vehicle =
-        storage_->GetVehicle(vehicle_id);
-    if (absl::IsNotFound(vehicle.status())) return VehicleNotFound(vehicle_id);
+        FindVehicle(storage_, vehicle_id);
     if (!vehicle.ok()) return vehicle.status();
     return Add(*vehicle, after.sequence + 1);
   }
@@ -87,8 +91,7 @@ class Page {
   absl::Status ListByValue(const std::string& vehicle_id,
                            const VehiclePlace& after) {
     const absl::StatusOr<VehicleRecord> vehicle =
-        storage_->GetVehicle(vehicle_id);
-    if (absl::IsNotFound(vehicle.status())) return VehicleNotFound(vehicle_id);
+        FindVehicle(storage_, vehicle_id);
     if (!vehicle.ok()) return vehicle.status();
     const absl::StatusOr<std::vector<Ranked>> ranked = Rank(*vehicle);
     if (!ranked.ok()) return ranked.status();

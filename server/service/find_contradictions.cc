@@ -26,12 +26,11 @@ absl::Status Find(UnaryCall* call, const absl::StatusOr<VehicleView>& read,
   const auto begin = std::chrono::steady_clock::now();
   std::chrono::steady_clock::duration waited{};
   core::SuspectSearch search(view.drive);
-  while (!search.Run([&] {
+  const bool is_done = search.Run([&] {
     waited += FairExecutor::Yield();
     return call->given_up();
-  })) {
-    if (call->given_up()) return call->GivenUpStatus();
-  }
+  });
+  if (!is_done) return call->GivenUpStatus();
   call->searches().Took(std::chrono::steady_clock::now() - begin - waited,
                         /*steps=*/0);
   for (const auto& [id, p_value] :

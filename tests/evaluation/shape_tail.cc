@@ -17,12 +17,12 @@
 
 #include "absl/strings/str_format.h"
 #include "client/formats/drive_file.h"
-#include "client/trajectory/dead_reckoning.h"
 #include "core/drive/drive.h"
 #include "core/drive/pose_graph.h"
 #include "core/geometry/pose.h"
 #include "core/search/alignment/relative.h"
 #include "core/settings.h"
+#include "tests/evaluation/claimed_samples.h"
 
 namespace {
 
@@ -49,33 +49,12 @@ struct Tail {
   }
 };
 
-// With the covariances that `revisit evaluate` claims.
-std::vector<PoseSample> SamplesOf(const Drive& drive) {
-  const auto claims = revisit::client::ClaimUncertainty(drive, {});
-  std::vector<PoseSample> samples;
-  for (std::size_t i = 0; i < drive.samples.size(); ++i) {
-    const PlanarPose& pose = drive.samples[i].estimate;
-    const std::array<double, 6>& claim = (*claims)[i].planar;
-    PoseSample sample;
-    sample.sequence = i + 1;
-    sample.pose = {pose.x, pose.y, 0.0, pose.heading};
-    sample.covariance(0, 0) = claim[0];
-    sample.covariance(0, 1) = claim[1];
-    sample.covariance(0, 3) = claim[2];
-    sample.covariance(1, 1) = claim[3];
-    sample.covariance(1, 3) = claim[4];
-    sample.covariance(3, 3) = claim[5];
-    sample.covariance(2, 2) = 1.0;
-    samples.push_back(sample);
-  }
-  return samples;
-}
-
 void AddChecks(const Drive& drive, Tail* tail) {
   DriveSettings settings;
   settings.check_interval_meters = 50.0;
   revisit::core::Drive driven(settings);
-  const AppendResult appended = driven.Append(SamplesOf(drive), 1);
+  const AppendResult appended =
+      driven.Append(revisit::evaluation::SamplesOf(drive), 1);
   const PoseGraph& graph = driven.graph();
   std::vector<PlanarPose> truth;
   for (NodeIndex i = 0; i < graph.size(); ++i) {

@@ -6,9 +6,8 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
-#include "client/answers/names.h"
-#include "client/answers/pages.h"
 #include "client/revisit/status.h"
+#include "client/trajectory/stored_poses.h"
 
 namespace revisit::client {
 namespace {
@@ -28,7 +27,7 @@ std::string IdOf(const std::string& name) {
 absl::StatusOr<std::optional<v1::LoopClosure>> ClosureOf(
     const Client& client, const v1::CheckCandidate& candidate) {
   if (!IsContradicted(candidate)) return std::nullopt;
-  const auto all = ListClosures(client, VehicleOf(candidate.name()));
+  const auto all = ReadLoopClosures(client, VehicleOf(candidate.name()));
   if (!all.ok()) return all.status();
   for (const v1::LoopClosure& closure : *all) {
     if (closure.name() == candidate.decision()) return closure;
@@ -143,21 +142,6 @@ bool IsTooLate(const absl::Status& status) {
   return absl::IsNotFound(status) || absl::IsAlreadyExists(status) ||
          absl::IsOutOfRange(status) ||
          DetailsOf(status).reason == "POSE_PAIR_CONFLICT";
-}
-
-absl::StatusOr<std::vector<v1::LoopClosure>> ListClosures(
-    const Client& client, const std::string& vehicle) {
-  v1::ListLoopClosuresRequest request;
-  request.set_parent(VehicleName(vehicle));
-  request.set_page_size(1000);
-  return ReadPages(
-      request,
-      [&](const v1::ListLoopClosuresRequest& asked) {
-        return client.ListLoopClosures(asked);
-      },
-      [](const v1::ListLoopClosuresResponse& page) -> const auto& {
-        return page.loop_closures();
-      });
 }
 
 }  // namespace revisit::client

@@ -64,10 +64,6 @@ absl::Status UndoDecision(const Client& client,
 // its vehicle are gone, or somebody else has decided.
 bool IsTooLate(const absl::Status& status);
 
-// All loop closures of a vehicle, which is an id or a name.
-absl::StatusOr<std::vector<v1::LoopClosure>> ListClosures(
-    const Client& client, const std::string& vehicle);
-
 }  // namespace revisit::client
 
 #endif  // REVISIT_CLIENT_CLI_COMMANDS_CANDIDATE_DECISIONS_H_

@@ -9,8 +9,8 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_replace.h"
 #include "client/answers/names.h"
-#include "client/cli/commands/candidate_decisions.h"
 #include "client/revisit/printable_text.h"
+#include "client/trajectory/stored_poses.h"
 #include "google/protobuf/util/time_util.h"
 
 namespace revisit::client {
@@ -34,7 +34,7 @@ absl::Status Print(const Client& client, const std::string& vehicle,
   using Align = Table::Align;
   std::unordered_map<std::string, v1::LoopClosure> closures;
   if (!found.contradictions().empty()) {
-    auto all = ListClosures(client, vehicle);
+    auto all = ReadLoopClosures(client, VehicleName(vehicle));
     if (!all.ok()) return all.status();
     for (v1::LoopClosure& closure : *all) {
       std::string name = closure.name();

@@ -180,7 +180,7 @@ class Review {
     terminal_.out << std::flush;
   }
 
-  // What the next line says, without blanks; none at the end of the input.
+  // Asks, and reads a line, without blanks; none at the end of the input.
   std::optional<std::string> Read(const std::string& question) const {
     terminal_.progress << question << " " << std::flush;
     std::string line;

@@ -1,4 +1,4 @@
-// What it is worth to look at a candidate: by how much the positions of a whole
+// The worth of a look at a candidate: by how much the positions of a whole
 // drive would become surer if its two nodes were confirmed to be one place.
 //
 // The value of a candidate is its probability times this reduction: of the

@@ -9,11 +9,14 @@
 #include <cstdint>
 #include <memory>
 #include <random>
+#include <set>
+#include <utility>
 #include <vector>
 
 #include "core/drive/confirmed_loop.h"
 #include "core/drive/drive.h"
 #include "core/drive/measured_loop.h"
+#include "core/drive/suspects.h"
 #include "core/geometry/frame_transform.h"
 #include "core/geometry/heading.h"
 #include "core/geometry/pose.h"
@@ -163,6 +166,33 @@ inline ClosedDrive RandomClosedDrive(const DriveSettings& settings,
   CloseLoops(wrong, measured, random, &closed);
   return closed;
 }
+
+// How often suspects were right.
+struct SuspectScore {
+  int wrong = 0;
+  int wrong_suspected = 0;
+  int right = 0;
+  int right_suspected = 0;
+
+  void Add(const ClosedDrive& closed, const std::vector<Suspect>& suspects) {
+    std::set<std::pair<std::uint64_t, std::uint64_t>> suspected;
+    for (const Suspect& suspect : suspects) {
+      suspected.insert({suspect.query_sequence, suspect.matched_sequence});
+    }
+    for (const VerifiedLoop& loop : closed.loops) {
+      const bool is_suspect =
+          suspected.count({loop.query + 1, loop.matched + 1}) > 0;
+      ++(loop.is_wrong ? wrong : right);
+      if (is_suspect) ++(loop.is_wrong ? wrong_suspected : right_suspected);
+    }
+  }
+  double recall() const {
+    return static_cast<double>(wrong_suspected) / std::max(1, wrong);
+  }
+  double right_share() const {
+    return static_cast<double>(right_suspected) / std::max(1, right);
+  }
+};
 
 }  // namespace revisit::core
 

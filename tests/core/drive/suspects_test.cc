@@ -7,7 +7,6 @@
 #include <cstddef>
 #include <iostream>
 #include <memory>
-#include <set>
 #include <utility>
 #include <vector>
 
@@ -28,35 +27,6 @@
 namespace revisit::core {
 namespace {
 
-// How often suspects were right.
-struct SuspectScore {
-  int wrong = 0;
-  int wrong_suspected = 0;
-  int right = 0;
-  int right_suspected = 0;
-
-  void Add(const ClosedDrive& closed) {
-    std::set<std::pair<std::uint64_t, std::uint64_t>> suspected;
-    for (const Suspect& suspect : FindSuspects(closed.drive)) {
-      EXPECT_EQ(suspect.occurrence, 0u);
-      EXPECT_LT(suspect.p_value, kSuspectProbability);
-      suspected.insert({suspect.query_sequence, suspect.matched_sequence});
-    }
-    for (const VerifiedLoop& loop : closed.loops) {
-      const bool is_suspect =
-          suspected.count({loop.query + 1, loop.matched + 1}) > 0;
-      ++(loop.is_wrong ? wrong : right);
-      if (is_suspect) ++(loop.is_wrong ? wrong_suspected : right_suspected);
-    }
-  }
-  double recall() const {
-    return static_cast<double>(wrong_suspected) / std::max(1, wrong);
-  }
-  double right_share() const {
-    return static_cast<double>(right_suspected) / std::max(1, right);
-  }
-};
-
 class WrongLoopsTest
     : public ::testing::TestWithParam<std::pair<WrongLoops, bool>> {};
 
@@ -65,8 +35,14 @@ TEST_P(WrongLoopsTest, AreSuspectedAndRightOnesAreNot) {
   std::mt19937_64 random = SeededRandom();
   SuspectScore score;
   for (int trial = 0; trial < 12; ++trial) {
-    score.Add(
-        RandomClosedDrive(DriveSettings(), 4000, wrong, measured, random));
+    const ClosedDrive closed =
+        RandomClosedDrive(DriveSettings(), 4000, wrong, measured, random);
+    const std::vector<Suspect> suspects = FindSuspects(closed.drive);
+    for (const Suspect& suspect : suspects) {
+      EXPECT_EQ(suspect.occurrence, 0u);
+      EXPECT_LT(suspect.p_value, kSuspectProbability);
+    }
+    score.Add(closed, suspects);
   }
   std::cout << (measured ? "measured" : "unmeasured") << ": recall "
             << score.recall() << " of " << score.wrong << ", "
