@@ -8,6 +8,7 @@
 
 #include "server/base/metrics.h"
 #include "server/conversion/stored_checks_codec.h"
+#include "server/feed/sweep_pace.h"
 #include "server/storage/storage.h"
 
 namespace revisit::server {
@@ -85,10 +86,11 @@ void EventFeed::Run() {
       }
       if (stopping_) return;
     }
-    const bool may_have_more = ReadOn();
-    CallWatches();
-    if (may_have_more) continue;
     const auto until = std::chrono::steady_clock::now() + options_.period;
+    const bool may_have_more = ReadOn();
+    // Whoever is behind what is written is not to rest.
+    CallWatches(may_have_more ? std::chrono::milliseconds(0) : options_.period);
+    if (may_have_more) continue;
     MutexLock lock(&mutex_);
     while (!stopping_ && std::chrono::steady_clock::now() < until) {
       changed_.WaitUntil(&mutex_, until);
@@ -145,12 +147,19 @@ bool EventFeed::ReadOn() {
   return static_cast<int>(records->size()) == kEventsPerRead;
 }
 
-void EventFeed::CallWatches() {
+void EventFeed::CallWatches(std::chrono::milliseconds within) {
+  using Clock = std::chrono::steady_clock;
+  SweepPace pace(within, Clock::now().time_since_epoch());
   WatchId last = 0;
   while (true) {
+    const Clock::time_point now = Clock::now();
+    const auto until = now + pace.RestBefore(now.time_since_epoch());
     std::shared_ptr<std::function<void()>> look;
     {
-      const MutexLock lock(&mutex_);
+      MutexLock lock(&mutex_);
+      while (!stopping_ && Clock::now() < until) {
+        changed_.WaitUntil(&mutex_, until);
+      }
       const auto next = watches_.upper_bound(last);
       if (next == watches_.end()) return;
       last = next->first;

@@ -80,7 +80,9 @@ class EventFeed {
   void Run();
   // Asks the store for what is new. Returns whether there may be more.
   bool ReadOn() ABSL_LOCKS_EXCLUDED(mutex_);
-  void CallWatches() ABSL_LOCKS_EXCLUDED(mutex_);
+  // Rests between calls, so long as it does not take longer than this.
+  void CallWatches(std::chrono::milliseconds within)
+      ABSL_LOCKS_EXCLUDED(mutex_);
 
   Storage* const storage_;
   const Options options_;
