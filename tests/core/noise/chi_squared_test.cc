@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <boost/math/distributions/chi_squared.hpp>
 #include <cmath>
 #include <limits>
 
@@ -23,6 +24,27 @@ TEST(ChiSquaredTest, DegreesOfFreedomNeedNotBeWhole) {
       const double x = ChiSquaredQuantile(degrees, probability);
       EXPECT_NEAR(ChiSquaredBelow(degrees, x), probability, 1e-9);
       EXPECT_NEAR(ChiSquaredAbove(degrees, x), 1.0 - probability, 1e-9);
+    }
+  }
+}
+
+TEST(ChiSquaredTest, AgreesWithMorePrecision) {
+  using Precise = boost::math::chi_squared_distribution<long double>;
+  for (double degrees = 0.7; degrees < 500.0; degrees *= 1.3) {
+    const Precise precise(degrees);
+    for (const double x : {0.01, 0.3, 0.8, 1.0, 1.2, 2.0, 3.0}) {
+      const auto below =
+          static_cast<double>(boost::math::cdf(precise, x * degrees));
+      const auto above = static_cast<double>(
+          boost::math::cdf(boost::math::complement(precise, x * degrees)));
+      EXPECT_NEAR(ChiSquaredBelow(degrees, x * degrees), below, 1e-13 * below);
+      EXPECT_NEAR(ChiSquaredAbove(degrees, x * degrees), above, 1e-12 * above);
+    }
+    for (const double probability : {0.01, 0.5, 0.95, 0.99, 0.999}) {
+      const auto threshold =
+          static_cast<double>(boost::math::quantile(precise, probability));
+      EXPECT_NEAR(ChiSquaredQuantile(degrees, probability), threshold,
+                  1e-13 * threshold);
     }
   }
 }
