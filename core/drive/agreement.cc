@@ -37,12 +37,12 @@ std::optional<Agreement> AgreementIn(const PoseGraph& graph,
 }
 
 template <int D>
-std::optional<Agreement> AcrossIn(const FrameNodes& nodes,
+std::optional<Agreement> AcrossIn(const RelatedFrames& frames,
                                   const FrameRelation& relation,
                                   const SimilarityModel& model,
                                   const ConfirmedLoop& loop) {
   const auto innovation =
-      InnovationAcross<D>(nodes, relation, loop, model.inflation);
+      InnovationAcross<D>(frames, relation, loop, model.inflation);
   if (!innovation) return std::nullopt;
   const Pose matched = Compose(loop.measured->query.pose,
                                Inverse(loop.measured->measurement.relative));
@@ -61,13 +61,13 @@ std::optional<Agreement> AgreementOf(const PoseGraph& graph,
              : AgreementIn<4>(graph, model, loop);
 }
 
-std::optional<Agreement> AgreementAcross(const FrameNodes& nodes,
+std::optional<Agreement> AgreementAcross(const RelatedFrames& frames,
                                          const FrameRelation& relation,
                                          const SimilarityModel& model,
                                          const ConfirmedLoop& loop) {
   return model.state_space == StateSpace::kPlanar
-             ? AcrossIn<3>(nodes, relation, model, loop)
-             : AcrossIn<4>(nodes, relation, model, loop);
+             ? AcrossIn<3>(frames, relation, model, loop)
+             : AcrossIn<4>(frames, relation, model, loop);
 }
 
 }  // namespace revisit::core

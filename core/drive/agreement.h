@@ -9,8 +9,8 @@ namespace revisit::core {
 
 class PoseGraph;
 struct ConfirmedLoop;
-struct FrameNodes;
 struct FrameRelation;
+struct RelatedFrames;
 struct SimilarityModel;
 
 struct Agreement {
@@ -30,7 +30,7 @@ std::optional<Agreement> AgreementOf(const PoseGraph& graph,
 
 // The same for poses of two recordings: `relation` is that of the query's frame
 // to the matched one. Nothing where these are not tied either.
-std::optional<Agreement> AgreementAcross(const FrameNodes& nodes,
+std::optional<Agreement> AgreementAcross(const RelatedFrames& frames,
                                          const FrameRelation& relation,
                                          const SimilarityModel& model,
                                          const ConfirmedLoop& loop);

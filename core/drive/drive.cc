@@ -649,7 +649,7 @@ std::optional<Agreement> Drive::AgreementOf(
   }
   const FrameRelations relations = RelationsAt(impl_->graph.size() - 1);
   const std::size_t from = impl_->recordings.Of(*query);
-  return AgreementAcross(relations.nodes(),
+  return AgreementAcross(impl_->Frames(),
                          relations.From(from)[impl_->recordings.Of(*matched)],
                          model, loop);
 }

@@ -46,6 +46,23 @@ StateMatrix<4> ErrorSince(const PoseGraph& graph,
   return carried - own;
 }
 
+double Squared(double scale) { return scale * scale; }
+
+// P.
+StateMatrix<4> ErrorOf(const FrameRelation& relation, double fixed_scale,
+                       double drift_scale) {
+  return fixed_scale * relation.fixed + Squared(drift_scale) * relation.drift +
+         relation.known_drift;
+}
+
+// S of a node, scaled.
+template <int D>
+StateMatrix<D> Scaled(const FrameNodes& nodes, NodeIndex i,
+                      double drift_scale) {
+  return Squared(nodes.ScaleOr(drift_scale)) *
+         ToMatrix<D>(nodes.graph.covariance(i));
+}
+
 }  // namespace
 
 FrameRelation Reversed(const FrameNodes& nodes, const FrameRelation& relation) {
@@ -57,7 +74,8 @@ FrameRelation Reversed(const FrameNodes& nodes, const FrameRelation& relation) {
   const Pose at = Compose(relation.transform, relation.place);
   reversed.place =
       relation.asking_node ? nodes.graph.pose(*relation.asking_node) : at;
-  for (StateMatrix<4>* part : {&reversed.fixed, &reversed.drift}) {
+  for (StateMatrix<4>* part :
+       {&reversed.fixed, &reversed.drift, &reversed.known_drift}) {
     *part = Turned<4>(Swung<4>(*part, at, reversed.place),
                       -relation.transform.heading);
   }
@@ -81,13 +99,20 @@ FrameRelation Compose(const FrameNodes& nodes, const FrameRelation& to_v,
       Swung<4>(to_v.fixed, before, at) + Turned<4>(from_v.fixed, turn);
   composed.drift =
       Swung<4>(to_v.drift, before, at) + Turned<4>(from_v.drift, turn);
+  composed.known_drift = Swung<4>(to_v.known_drift, before, at) +
+                         Turned<4>(from_v.known_drift, turn);
   if (to_v.other_node && from_v.asking_node) {
     const Pose leaving =
         Compose(to_v.transform, nodes.graph.pose(*from_v.asking_node));
-    composed.drift += Swung<4>(
+    const StateMatrix<4> added = Swung<4>(
         Turned<4>(ErrorSince(nodes.graph, to_v.other_node, *from_v.asking_node),
                   turn),
         leaving, at);
+    if (nodes.known_scale) {
+      composed.known_drift += (*nodes.known_scale * *nodes.known_scale) * added;
+    } else {
+      composed.drift += added;
+    }
   }
   return composed;
 }
@@ -106,13 +131,13 @@ double MostOfAgreeing(int degrees_of_freedom) {
 }
 
 template <int D>
-StateMatrix<D> ErrorOfMatched(const FrameNodes& nodes,
+StateMatrix<D> ErrorOfMatched(const RelatedFrames& frames,
                               const FrameRelation& relation,
                               const ConfirmedLoop& loop, double drift_scale) {
-  const FramePair<D> pair(nodes, relation, loop.query, drift_scale);
+  const FramePair<D> pair(frames, relation, loop.query, drift_scale);
   return Turned<D>(
-      pair.Covariance(loop.matched, nodes.graph.pose(loop.matched),
-                      ToMatrix<D>(nodes.graph.covariance(loop.matched))),
+      pair.Covariance(loop.matched, frames.other.graph.pose(loop.matched),
+                      ToMatrix<D>(frames.other.graph.covariance(loop.matched))),
       relation.transform.heading);
 }
 
@@ -143,7 +168,7 @@ struct SeenFromQuery {
 };
 
 template <int D>
-SeenFromQuery<D> SeeFromQuery(const FrameNodes& nodes,
+SeenFromQuery<D> SeeFromQuery(const RelatedFrames& frames,
                               const FrameRelation& relation,
                               const ConfirmedLoop& loop, double drift_scale) {
   SeenFromQuery<D> seen;
@@ -153,13 +178,12 @@ SeenFromQuery<D> SeeFromQuery(const FrameNodes& nodes,
     seen.covariance = MeasuredFromQuery<D>(*loop.measured, seen.pose);
     return seen;
   }
-  seen.pose = nodes.graph.pose(loop.query);
+  seen.pose = frames.asking.graph.pose(loop.query);
   AddTolerance<D>(kConfirmedTolerance, &seen.covariance);
   if (!relation.is_tied()) return seen;
-  const double sure =
-      relation.fixed(3, 3) + drift_scale * drift_scale * relation.drift(3, 3);
+  const double sure = ErrorOf(relation, 1.0, drift_scale)(3, 3);
   const double turn = seen.pose.heading - relation.transform.heading -
-                      nodes.graph.pose(loop.matched).heading;
+                      frames.other.graph.pose(loop.matched).heading;
   if (sure < kLeastSureHeading * kLeastSureHeading &&
       std::abs(WrapHeading(turn)) > 0.5 * kPi) {
     seen.pose.heading = WrapHeading(seen.pose.heading + kPi);
@@ -167,45 +191,44 @@ SeenFromQuery<D> SeeFromQuery(const FrameNodes& nodes,
   return seen;
 }
 
-Pose MatchedPose(const FrameNodes& nodes, const ConfirmedLoop& loop) {
+Pose MatchedPose(const RelatedFrames& frames, const ConfirmedLoop& loop) {
   return loop.measured ? loop.measured->matched.pose
-                       : nodes.graph.pose(loop.matched);
+                       : frames.other.graph.pose(loop.matched);
 }
 
 // The relation of the closure alone.
 template <int D>
-FrameRelation TiedAnew(const FrameNodes& nodes, const ConfirmedLoop& loop,
+FrameRelation TiedAnew(const RelatedFrames& frames, const ConfirmedLoop& loop,
                        const SeenFromQuery<D>& seen, double drift_scale) {
   FrameRelation tied;
   tied.state = FrameState::kProvisional;
   tied.links = 1;
-  tied.transform = Compose(seen.pose, Inverse(MatchedPose(nodes, loop)));
-  tied.place = nodes.graph.pose(loop.matched);
+  tied.transform = Compose(seen.pose, Inverse(MatchedPose(frames, loop)));
+  tied.place = frames.other.graph.pose(loop.matched);
   StateMatrix<D> error = seen.covariance;
-  if (nodes.have_references()) {
+  if (frames.asking.have_references()) {
     tied.asking_node = loop.query;
     tied.other_node = loop.matched;
   } else {
-    error += (drift_scale * drift_scale) *
-             (ToMatrix<D>(nodes.graph.covariance(loop.query)) +
-              Turned<D>(ToMatrix<D>(nodes.graph.covariance(loop.matched)),
-                        tied.transform.heading));
+    error += Scaled<D>(frames.asking, loop.query, drift_scale) +
+             Turned<D>(Scaled<D>(frames.other, loop.matched, drift_scale),
+                       tied.transform.heading);
   }
   tied.fixed = ToMatrix<4>(ToCovariance<D>(error));
   return tied;
 }
 
 template <int D>
-FrameRelation TiedIn(const FrameNodes& nodes, const FrameRelation& relation,
+FrameRelation TiedIn(const RelatedFrames& frames, const FrameRelation& relation,
                      const ConfirmedLoop& loop, double drift_scale) {
   const SeenFromQuery<D> seen =
-      SeeFromQuery<D>(nodes, relation, loop, drift_scale);
-  if (!relation.is_tied()) return TiedAnew<D>(nodes, loop, seen, drift_scale);
-  const Pose matched = MatchedPose(nodes, loop);
+      SeeFromQuery<D>(frames, relation, loop, drift_scale);
+  if (!relation.is_tied()) return TiedAnew<D>(frames, loop, seen, drift_scale);
+  const Pose matched = MatchedPose(frames, loop);
   const Pose placed = Compose(relation.transform, matched);
   const StateVector<D> innovation = ToVector<D>(Difference(seen.pose, placed));
   const StateMatrix<D> gamma =
-      ErrorOfMatched<D>(nodes, relation, loop, drift_scale);
+      ErrorOfMatched<D>(frames, relation, loop, drift_scale);
   const StateMatrix<D> sum = gamma + seen.covariance;
   const auto distance = Evaluate<D>(sum, innovation);
   const bool contradicts =
@@ -213,25 +236,23 @@ FrameRelation TiedIn(const FrameNodes& nodes, const FrameRelation& relation,
   if (contradicts) {
     const bool has_links = relation.state == FrameState::kProvisional ||
                            relation.state == FrameState::kKnown;
-    return has_links ? relation : TiedAnew<D>(nodes, loop, seen, drift_scale);
+    return has_links ? relation : TiedAnew<D>(frames, loop, seen, drift_scale);
   }
   // Where errors are absolute, those of the two poses are noise of the closure;
   // else they are part of what is learned.
   StateMatrix<D> prior = gamma;
-  if (!nodes.have_references()) {
+  if (!frames.asking.have_references()) {
     const Pose at = Compose(relation.transform, relation.place);
-    const StateMatrix<D> own =
-        Reduced<D>(relation.fixed) +
-        (drift_scale * drift_scale) * Reduced<D>(relation.drift);
-    prior = Swung<D>(own, at, placed);
+    prior =
+        Swung<D>(Reduced<D>(ErrorOf(relation, 1.0, drift_scale)), at, placed);
   }
   FrameRelation tied;
   Correct<D>(matched, placed, innovation, prior, sum, &tied);
   tied.links = relation.links + 1;
   tied.state = tied.links >= kConsistentLinks ? FrameState::kKnown
                                               : FrameState::kProvisional;
-  tied.place = nodes.graph.pose(loop.matched);
-  if (nodes.have_references()) {
+  tied.place = frames.other.graph.pose(loop.matched);
+  if (frames.asking.have_references()) {
     tied.asking_node = loop.query;
     tied.other_node = loop.matched;
   }
@@ -240,50 +261,50 @@ FrameRelation TiedIn(const FrameNodes& nodes, const FrameRelation& relation,
 
 }  // namespace
 
-FrameRelation TiedBy(const FrameNodes& nodes, const FrameRelation& relation,
+FrameRelation TiedBy(const RelatedFrames& frames, const FrameRelation& relation,
                      const ConfirmedLoop& loop, double drift_scale) {
-  return nodes.state_space == StateSpace::kPlanar
-             ? TiedIn<3>(nodes, relation, loop, drift_scale)
-             : TiedIn<4>(nodes, relation, loop, drift_scale);
+  return frames.asking.state_space == StateSpace::kPlanar
+             ? TiedIn<3>(frames, relation, loop, drift_scale)
+             : TiedIn<4>(frames, relation, loop, drift_scale);
 }
 
 template <int D>
-std::optional<Innovation<D>> InnovationAcross(const FrameNodes& nodes,
+std::optional<Innovation<D>> InnovationAcross(const RelatedFrames& frames,
                                               const FrameRelation& relation,
                                               const ConfirmedLoop& loop,
                                               double drift_scale) {
   assert(loop.measured != nullptr);
   if (!relation.is_tied()) return std::nullopt;
   const SeenFromQuery<D> seen =
-      SeeFromQuery<D>(nodes, relation, loop, drift_scale);
+      SeeFromQuery<D>(frames, relation, loop, drift_scale);
   Innovation<D> innovation;
   innovation.difference = ToVector<D>(Difference(
-      seen.pose, Compose(relation.transform, MatchedPose(nodes, loop))));
-  innovation.gamma = ErrorOfMatched<D>(nodes, relation, loop, drift_scale);
+      seen.pose, Compose(relation.transform, MatchedPose(frames, loop))));
+  innovation.gamma = ErrorOfMatched<D>(frames, relation, loop, drift_scale);
   return innovation;
 }
 
 template <int D>
-FramePair<D>::FramePair(const FrameNodes& nodes, const FrameRelation& relation,
-                        NodeIndex query, double drift_scale, double fixed_scale)
-    : query_(Compose(Inverse(relation.transform), nodes.graph.pose(query))),
-      node_scale_(drift_scale * drift_scale),
+FramePair<D>::FramePair(const RelatedFrames& frames,
+                        const FrameRelation& relation, NodeIndex query,
+                        double drift_scale, double fixed_scale)
+    : query_(Compose(Inverse(relation.transform),
+                     frames.asking.graph.pose(query))),
+      node_scale_(Squared(frames.other.ScaleOr(drift_scale))),
       place_(relation.place),
       reference_(relation.other_node.value_or(0)) {
   assert(relation.is_tied());
   const double back = -relation.transform.heading;
-  const double scale = drift_scale * drift_scale;
-  own_ = scale * Turned<D>(Reduced<D>(ErrorSince(nodes.graph,
-                                                 relation.asking_node, query)),
-                           back);
+  own_ = Squared(frames.asking.ScaleOr(drift_scale)) *
+         Turned<D>(Reduced<D>(ErrorSince(frames.asking.graph,
+                                         relation.asking_node, query)),
+                   back);
   const StateMatrix<D> transform =
-      Turned<D>(fixed_scale * Reduced<D>(relation.fixed) +
-                    scale * Reduced<D>(relation.drift),
-                back);
+      Turned<D>(Reduced<D>(ErrorOf(relation, fixed_scale, drift_scale)), back);
   before_ = after_ = transform;
   if (relation.other_node) {
     const StateMatrix<D> reference =
-        scale * ToMatrix<D>(nodes.graph.covariance(*relation.other_node));
+        Scaled<D>(frames.other, *relation.other_node, drift_scale);
     before_ += reference;
     after_ -= reference;
   }
@@ -299,10 +320,10 @@ StateMatrix<D> FramePair<D>::Covariance(
 
 template class FramePair<3>;
 template class FramePair<4>;
-template StateMatrix<3> ErrorOfMatched<3>(const FrameNodes&,
+template StateMatrix<3> ErrorOfMatched<3>(const RelatedFrames&,
                                           const FrameRelation&,
                                           const ConfirmedLoop&, double);
-template StateMatrix<4> ErrorOfMatched<4>(const FrameNodes&,
+template StateMatrix<4> ErrorOfMatched<4>(const RelatedFrames&,
                                           const FrameRelation&,
                                           const ConfirmedLoop&, double);
 template void Correct<3>(const Pose&, const Pose&, const StateVector<3>&,
@@ -313,11 +334,11 @@ template void Correct<4>(const Pose&, const Pose&, const StateVector<4>&,
                          FrameRelation*);
 template StateMatrix<3> MeasuredFromQuery<3>(const MeasuredLoop&, const Pose&);
 template StateMatrix<4> MeasuredFromQuery<4>(const MeasuredLoop&, const Pose&);
-template std::optional<Innovation<3>> InnovationAcross<3>(const FrameNodes&,
+template std::optional<Innovation<3>> InnovationAcross<3>(const RelatedFrames&,
                                                           const FrameRelation&,
                                                           const ConfirmedLoop&,
                                                           double);
-template std::optional<Innovation<4>> InnovationAcross<4>(const FrameNodes&,
+template std::optional<Innovation<4>> InnovationAcross<4>(const RelatedFrames&,
                                                           const FrameRelation&,
                                                           const ConfirmedLoop&,
                                                           double);

@@ -30,6 +30,11 @@
 // s = -1 and M = P + S_m before it; without references, s = 1 and M = P. Along
 // the line from j to the query, L_j acts as L at the query's own place does:
 // regions of possible ends depend on the node by S_j alone.
+//
+// The frames may lie in two drives, whose claims have scales of their own: with
+// f_u and f_v, variances are those of Q_u times f_u^2 and of Q_v and S_v times
+// f_v^2. That of the asking drive is what a search supposes; that of any other
+// drive is what it has shown itself. P has neither.
 #ifndef REVISIT_CORE_DRIVE_FRAME_RELATION_H_
 #define REVISIT_CORE_DRIVE_FRAME_RELATION_H_
 
@@ -50,11 +55,13 @@ struct FrameRelation {
   FrameState state = FrameState::kNone;
   // T.
   Pose transform;
-  // P is `fixed` plus `drift`, what poses of frames between the two have added:
-  // that part scales with the errors of poses, as S does. Rows and columns of z
-  // are 0 for PLANAR.
+  // P is `fixed` plus what poses of frames between the two have added: `drift`
+  // scales with the errors of the asking drive's poses, as S does, and
+  // `known_drift` is that of other drives, at their own scales. Rows and
+  // columns of z are 0 for PLANAR.
   StateMatrix<4> fixed = StateMatrix<4>::Zero();
   StateMatrix<4> drift = StateMatrix<4>::Zero();
+  StateMatrix<4> known_drift = StateMatrix<4>::Zero();
   // Where P holds, in v's frame: the pose of m, where there is one.
   Pose place;
   // c and m; nothing where errors are absolute.
@@ -71,17 +78,38 @@ struct FrameNodes {
   const PoseGraph& graph;
   StateSpace state_space = StateSpace::kPlanar;
   Correlation correlation;
+  // The scale of standard deviations that the drive has shown; nothing for the
+  // one that asks.
+  std::optional<double> known_scale = std::nullopt;
 
   // Whether poses err by what was added since a reference.
   bool have_references() const {
     return correlation.noise().form == DifferenceForm::kGrown;
   }
+  double ScaleOr(double supposed) const {
+    return known_scale.value_or(supposed);
+  }
 };
 
-// The relation as v sees it: the frame u in v.
+// The frames of the two drives that a relation is of, which may be one. Both
+// have one state space and one noise model.
+struct RelatedFrames {
+  // NOLINTNEXTLINE(google-explicit-constructor): one drive is such a pair.
+  RelatedFrames(const FrameNodes& both) : asking(both), other(both) {}
+  RelatedFrames(const FrameNodes& of_asking, const FrameNodes& of_other)
+      : asking(of_asking), other(of_other) {}
+
+  bool are_of_one_drive() const { return &asking.graph == &other.graph; }
+
+  FrameNodes asking;
+  FrameNodes other;
+};
+
+// The relation as v sees it: the frame u in v. `nodes`: those of u.
 FrameRelation Reversed(const FrameNodes& nodes, const FrameRelation& relation);
 
-// The relation of u to w, from those of u to v and of v to w.
+// The relation of u to w, from those of u to v and of v to w. `nodes`: those of
+// v.
 FrameRelation Compose(const FrameNodes& nodes, const FrameRelation& to_v,
                       const FrameRelation& from_v);
 
@@ -90,8 +118,9 @@ FrameRelation Compose(const FrameNodes& nodes, const FrameRelation& to_v,
 // Where the two are not tied yet, the closure alone is the relation. A closure
 // that contradicts the relation (its innovation is beyond what one in a hundred
 // true ones has) replaces one that no closure has tied, and changes nothing
-// else. `drift_scale` multiplies standard deviations of drift.
-FrameRelation TiedBy(const FrameNodes& nodes, const FrameRelation& relation,
+// else. `drift_scale` multiplies standard deviations of drift, as everywhere
+// below, where the drive has no known scale.
+FrameRelation TiedBy(const RelatedFrames& frames, const FrameRelation& relation,
                      const ConfirmedLoop& loop, double drift_scale);
 
 // The greatest squared Mahalanobis distance of an innovation that does not
@@ -101,7 +130,7 @@ double MostOfAgreeing(int degrees_of_freedom);
 // Gamma of T x_m as c sees it, in the axes of u, with T's own error and what
 // the two poses have added to it. REQUIRES: the relation is tied.
 template <int D>
-StateMatrix<D> ErrorOfMatched(const FrameNodes& nodes,
+StateMatrix<D> ErrorOfMatched(const RelatedFrames& frames,
                               const FrameRelation& relation,
                               const ConfirmedLoop& loop, double drift_scale);
 
@@ -117,7 +146,7 @@ void Correct(const Pose& matched, const Pose& placed,
 // without that of the measurement, in the axes of u; nothing where the frames
 // are not tied.
 template <int D>
-std::optional<Innovation<D>> InnovationAcross(const FrameNodes& nodes,
+std::optional<Innovation<D>> InnovationAcross(const RelatedFrames& frames,
                                               const FrameRelation& relation,
                                               const ConfirmedLoop& loop,
                                               double drift_scale);
@@ -136,7 +165,7 @@ class FramePair {
  public:
   // `fixed_scale` multiplies the variances of T's own error. REQUIRES: the
   // relation is tied.
-  FramePair(const FrameNodes& nodes, const FrameRelation& relation,
+  FramePair(const RelatedFrames& frames, const FrameRelation& relation,
             NodeIndex query, double drift_scale, double fixed_scale = 1.0);
 
   // The query's pose in the other frame.

@@ -20,7 +20,8 @@ namespace {
 constexpr double kComparedAtMeters = 100.0;
 
 double VarianceOf(const FrameRelation& relation) {
-  const StateMatrix<4> p = relation.fixed + relation.drift;
+  const StateMatrix<4> p =
+      relation.fixed + relation.drift + relation.known_drift;
   return p(0, 0) + p(1, 1) + p(2, 2) +
          kComparedAtMeters * kComparedAtMeters * p(3, 3);
 }
@@ -38,84 +39,129 @@ StateMatrix<4> InSpace(StateSpace space, const Covariance& covariance) {
 
 FrameRelations::FrameRelations(const FrameNodes& nodes,
                                const Recordings& recordings, NodeIndex query,
-                               const std::vector<ConfirmedLoop>& loops)
-    : nodes_(nodes), recordings_(recordings.Of(query) + 1) {
-  edges_.resize(recordings_ + 1);
-  if (recordings_ == 1) return;
-  AddStarts(recordings);
+                               const std::vector<ConfirmedLoop>& loops) {
+  AddDrive(nodes, recordings, query, loops);
+}
+
+std::size_t FrameRelations::AddDrive(const FrameNodes& nodes,
+                                     const Recordings& recordings,
+                                     NodeIndex query,
+                                     const std::vector<ConfirmedLoop>& loops,
+                                     const RecordingStart* datum) {
+  const std::size_t drive = nodes_.size();
+  nodes_.push_back(nodes);
+  const std::size_t count = recordings.Of(query) + 1;
+  const std::size_t first = AddFrames(count, drive);
+  if (drive == 0) {
+    recordings_ = count;
+    shared_ = AddFrames(1, drive);
+  }
+  for (std::size_t k = 0; k < count; ++k) {
+    const bool is_first = k == 0;
+    const RecordingStart* const start =
+        is_first && datum != nullptr ? datum : recordings[k].start.get();
+    if (start != nullptr) AddStart(*start, recordings[k], first + k, is_first);
+  }
   for (const ConfirmedLoop& loop : loops) {
     const std::size_t from = recordings.Of(loop.query);
     const std::size_t to = recordings.Of(loop.matched);
-    if (from != to) AddLoop(from, to, loop);
+    if (from != to) AddLoop(first + from, first + to, loop);
   }
+  return first;
+}
+
+void FrameRelations::AddLink(std::size_t from, std::size_t to,
+                             const ConfirmedLoop& link) {
+  links_.push_back({from, to, link});
+  AddLoop(from, to, link);
+}
+
+void FrameRelations::Cut(std::size_t first, std::size_t last) {
+  const auto is_cut = [&](std::size_t frame) {
+    return first <= frame && frame < last;
+  };
+  for (std::size_t frame = 0; frame < edges_.size(); ++frame) {
+    std::vector<Edge>& edges = edges_[frame];
+    edges.erase(std::remove_if(edges.begin(), edges.end(),
+                               [&](const Edge& edge) {
+                                 return is_cut(frame) || is_cut(edge.to);
+                               }),
+                edges.end());
+  }
+  links_.erase(std::remove_if(links_.begin(), links_.end(),
+                              [&](const Link& link) {
+                                return is_cut(link.from) || is_cut(link.to);
+                              }),
+               links_.end());
+}
+
+std::size_t FrameRelations::AddFrames(std::size_t count, std::size_t drive) {
+  const std::size_t first = edges_.size();
+  edges_.resize(first + count);
+  drive_of_.resize(first + count, drive);
+  return first;
 }
 
 void FrameRelations::Add(std::size_t from, std::size_t to,
                          const FrameRelation& relation) {
   edges_[from].push_back({to, relation});
-  edges_[to].push_back({from, Reversed(nodes_, relation)});
+  edges_[to].push_back({from, Reversed(NodesOf(from), relation)});
 }
 
-void FrameRelations::AddStarts(const Recordings& recordings) {
-  for (std::size_t k = 0; k < recordings_; ++k) {
-    const Recording& recording = recordings[k];
-    if (recording.start == nullptr ||
-        recording.start->relation == RecordingRelation::kUnknown) {
-      continue;
-    }
-    if (recording.start->relation == RecordingRelation::kDatum) {
-      AddDatum(*recording.start, k, recording.first_node);
-      continue;
-    }
-    if (k == 0) continue;
-    const NodeIndex first = recording.first_node;
-    const Pose start = nodes_.graph.pose(first);
-    FrameRelation after;
-    after.state = FrameState::kAfter;
-    after.transform = Compose(start, Inverse(recording.end_before));
-    after.place = nodes_.graph.pose(first - 1);
-    // From the last pose, which is where the start is, to the last node.
-    after.fixed =
-        Swung<4>(InSpace(nodes_.state_space, recording.start->covariance),
-                 start, Compose(after.transform, after.place));
-    if (nodes_.have_references()) {
-      after.asking_node = first;
-      after.other_node = first - 1;
-    }
-    Add(k, k - 1, after);
+void FrameRelations::AddStart(const RecordingStart& start,
+                              const Recording& recording, std::size_t frame,
+                              bool is_first) {
+  if (start.relation == RecordingRelation::kUnknown) return;
+  const NodeIndex first = recording.first_node;
+  if (start.relation == RecordingRelation::kDatum) {
+    AddDatum(start, frame, first);
+    return;
   }
+  if (is_first) return;
+  const FrameNodes& nodes = NodesOf(frame);
+  const Pose begin = nodes.graph.pose(first);
+  FrameRelation after;
+  after.state = FrameState::kAfter;
+  after.transform = Compose(begin, Inverse(recording.end_before));
+  after.place = nodes.graph.pose(first - 1);
+  // From the last pose, which is where the start is, to the last node.
+  after.fixed = Swung<4>(InSpace(nodes.state_space, start.covariance), begin,
+                         Compose(after.transform, after.place));
+  if (nodes.have_references()) {
+    after.asking_node = first;
+    after.other_node = first - 1;
+  }
+  Add(frame, frame - 1, after);
 }
 
-void FrameRelations::AddDatum(const RecordingStart& start,
-                              std::size_t recording, NodeIndex first_node) {
+void FrameRelations::AddDatum(const RecordingStart& start, std::size_t frame,
+                              NodeIndex first_node) {
+  const FrameNodes& nodes = NodesOf(frame);
   // The shared frame, as the recording sees it.
   FrameRelation shared;
   shared.state = FrameState::kDatum;
   shared.transform = Inverse(start.datum);
-  shared.place = Compose(start.datum, nodes_.graph.pose(first_node));
-  if (nodes_.have_references()) shared.asking_node = first_node;
-  const StateMatrix<4> error = InSpace(nodes_.state_space, start.covariance);
+  shared.place = Compose(start.datum, nodes.graph.pose(first_node));
+  if (nodes.have_references()) shared.asking_node = first_node;
+  const StateMatrix<4> error = InSpace(nodes.state_space, start.covariance);
   if (start.datum_id.empty()) {
     shared.fixed = Turned<4>(error, shared.transform.heading);
-    Add(recording, recordings_, shared);
+    Add(frame, shared_, shared);
     return;
   }
   // Whoever has the datum too errs alike: the datum has a frame of its own,
   // which errs in the shared one.
-  const auto known =
-      std::find(datum_ids_.begin(), datum_ids_.end(), start.datum_id);
-  const auto id = static_cast<std::size_t>(known - datum_ids_.begin());
-  const std::size_t frame = recordings_ + 1 + id;
-  if (known == datum_ids_.end()) {
-    datum_ids_.push_back(start.datum_id);
-    edges_.emplace_back();
+  const auto [known, is_new] =
+      datum_frames_.try_emplace(start.datum_id, edges_.size());
+  if (is_new) {
+    AddFrames(1, drive_of_[frame]);
     FrameRelation datum;
     datum.state = FrameState::kDatum;
     datum.place = shared.place;
     datum.fixed = error;
-    Add(frame, recordings_, datum);
+    Add(known->second, shared_, datum);
   }
-  Add(recording, frame, shared);
+  Add(frame, known->second, shared);
 }
 
 void FrameRelations::AddLoop(std::size_t from, std::size_t to,
@@ -127,15 +173,16 @@ void FrameRelations::AddLoop(std::size_t from, std::size_t to,
   };
   const auto tied =
       std::find_if(edges_[from].begin(), edges_[from].end(), with_links(to));
+  const RelatedFrames frames = Between(from, to);
   if (tied == edges_[from].end()) {
     // A closure that contradicts what others have tied leaves it as it is.
-    const FrameRelation by = TiedBy(nodes_, From(from)[to], loop, 1.0);
+    const FrameRelation by = TiedBy(frames, From(from)[to], loop, 1.0);
     if (by.links > 0) Add(from, to, by);
     return;
   }
-  tied->relation = TiedBy(nodes_, tied->relation, loop, 1.0);
+  tied->relation = TiedBy(frames, tied->relation, loop, 1.0);
   std::find_if(edges_[to].begin(), edges_[to].end(), with_links(from))
-      ->relation = Reversed(nodes_, tied->relation);
+      ->relation = Reversed(frames.asking, tied->relation);
 }
 
 std::vector<FrameRelation> FrameRelations::From(std::size_t asking) const {
@@ -156,8 +203,9 @@ std::vector<FrameRelation> FrameRelations::From(std::size_t asking) const {
     for (const Edge& edge : edges_[frame]) {
       if (done[edge.to]) continue;
       const FrameRelation relation =
-          frame == asking ? edge.relation
-                          : Compose(nodes_, relations[frame], edge.relation);
+          frame == asking
+              ? edge.relation
+              : Compose(NodesOf(frame), relations[frame], edge.relation);
       // Written so that NaN leads nowhere.
       const double sure = VarianceOf(relation);
       if (!(sure < unsure[edge.to])) continue;
@@ -166,8 +214,20 @@ std::vector<FrameRelation> FrameRelations::From(std::size_t asking) const {
       next.push({sure, edge.to});
     }
   }
-  relations.resize(recordings_);
   return relations;
+}
+
+std::vector<ConfirmedLoop> FrameRelations::LinksBetween(std::size_t from,
+                                                        std::size_t to) const {
+  std::vector<ConfirmedLoop> links;
+  for (const Link& link : links_) {
+    if (link.from == from && link.to == to) {
+      links.push_back(link.link);
+    } else if (link.from == to && link.to == from) {
+      links.push_back({link.link.matched, link.link.query, nullptr});
+    }
+  }
+  return links;
 }
 
 }  // namespace revisit::core

@@ -496,7 +496,7 @@ void Search::Impl::AddHistories(const Extent& extent,
     const NodeRange nodes =
         drive_.recordings().NodesOf(k, drive_.graph().size());
     Relation relation(
-        task->frames->nodes(), ties[k],
+        task->frames->Between(extent.recording, k), ties[k],
         belief == nullptr ? std::vector<WeighedDrift>() : belief->drifts(k));
     task->histories.push_back({drive_.graph(), nodes.last, not_sought,
                                &drive_.motion_history().heading_bins(),

@@ -49,7 +49,7 @@ Differences<D>::Differences(const Query& query, const History& history,
       has_closed_form_(true),
       next_(query.node),
       is_tied_(true) {
-  MakeTied(FramePair<D>(history.relation.nodes(), tie, query.node,
+  MakeTied(FramePair<D>(history.relation.frames(), tie, query.node,
                         model.inflation, fixed_scale));
 }
 

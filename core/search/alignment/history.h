@@ -1,9 +1,10 @@
-// Where a search looks: the nodes of a drive that the recent path is compared
-// with.
+// Where a search looks: the nodes of a drive, the one that asks or another one,
+// that the recent path is compared with.
 #ifndef REVISIT_CORE_SEARCH_ALIGNMENT_HISTORY_H_
 #define REVISIT_CORE_SEARCH_ALIGNMENT_HISTORY_H_
 
 #include <cstddef>
+#include <optional>
 #include <vector>
 
 #include "core/drive/block_bounds.h"
@@ -32,12 +33,16 @@ struct History {
   Relation relation = {};
   // A recording begins there, so that no road leads farther back.
   NodeIndex first = 0;
-  // Index of its recording in the drive.
-  std::size_t recording = 0;
+  // Its frame, among those of all histories (FrameRelations).
+  std::size_t frame = 0;
   // For another recording, in which errors count from a reference: whether they
   // grow from each node of a block to it, or from it to each node
   // (block_growth.h). By block of the graph; null where it is not known.
   const std::vector<char>* growing = nullptr;
+  // Of another drive than the one that asks: its index in the scope of the
+  // search, and FrameNodes::known_scale.
+  std::optional<std::size_t> drive = std::nullopt;
+  std::optional<double> known_scale = std::nullopt;
 };
 
 // The drifts that are held possible there: the model's in the past of the

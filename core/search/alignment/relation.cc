@@ -10,7 +10,7 @@
 
 namespace revisit::core {
 
-Relation::Relation(const FrameNodes& nodes, const FrameRelation& tie,
+Relation::Relation(const RelatedFrames& frames, const FrameRelation& tie,
                    std::vector<WeighedDrift> drifts) {
   std::vector<FrameWay> ways;
   if (!tie.is_tied()) {
@@ -23,7 +23,7 @@ Relation::Relation(const FrameNodes& nodes, const FrameRelation& tie,
     ways = {{0.0, 1.0, false}};
   }
   other_ = std::make_shared<const Other>(
-      Other{nodes, tie, std::move(ways), std::move(drifts)});
+      Other{frames, tie, std::move(ways), std::move(drifts)});
 }
 
 Pose Relation::InHistory(const Pose& pose) const {
@@ -63,10 +63,10 @@ ErrorTransition Relation::TransitionTowards(const Query& query,
 
 // Most queries lie well behind their history, but sequences may be short.
 std::size_t Relation::BlocksBefore(const Query& query, NodeIndex end) const {
-  assert(end <= query.node);
   constexpr auto kBlock = static_cast<NodeIndex>(NodeBlock::kSize);
   std::size_t blocks = static_cast<std::size_t>(end) / NodeBlock::kSize;
   if (!is_own()) return blocks;
+  assert(end <= query.node);
   while (blocks > 0 &&
          (static_cast<NodeIndex>(blocks) + 1) * kBlock + kBlock / 2 >
              query.node) {

@@ -16,8 +16,9 @@
 //   for whole blocks.
 // - Node j lies before q in the same recording.
 //
-// And that to another recording (frame_relation.h), whose T is uncertain in one
-// of several ways, each with its weight:
+// And that to another recording (frame_relation.h), of the same drive or of
+// another one, whose T is uncertain in one of several ways, each with its
+// weight:
 // - The ways of the frames as they are tied: T with the covariance P. Where no
 //   closure ties them, one in twenty errs by three times as much, so that an
 //   unlucky datum does not hide all of a recording.
@@ -89,8 +90,8 @@ class Relation {
   Relation() = default;
   // The relation to another recording. `drifts` are the ways that marks have
   // shown, in falling order of their marks; their weights sum to less than 1.
-  // The graph of `nodes` must outlive this.
-  Relation(const FrameNodes& nodes, const FrameRelation& tie,
+  // The graphs of `frames` must outlive this.
+  Relation(const RelatedFrames& frames, const FrameRelation& tie,
            std::vector<WeighedDrift> drifts);
 
   bool is_own() const { return other_ == nullptr; }
@@ -126,7 +127,7 @@ class Relation {
   // ---- Another recording. REQUIRES: !is_own().
 
   FrameState state() const { return other_->tie.state; }
-  const FrameNodes& nodes() const { return other_->nodes; }
+  const RelatedFrames& frames() const { return other_->frames; }
   // The frames as they are tied, and the ways in which they may lie for it.
   const FrameRelation& tie() const { return other_->tie; }
   const std::vector<FrameWay>& ways() const { return other_->ways; }
@@ -135,7 +136,7 @@ class Relation {
   // The tie as the newest pair of a drift has shown it. Takes O(1), and is
   // another one for each scale of the claims.
   FrameRelation Shown(const WeighedDrift& drift, double drift_scale) const {
-    return TiedBy(other_->nodes, other_->tie, drift.pairs.back(), drift_scale);
+    return TiedBy(other_->frames, other_->tie, drift.pairs.back(), drift_scale);
   }
 
   // ---- Both.
@@ -151,7 +152,7 @@ class Relation {
 
  private:
   struct Other {
-    FrameNodes nodes;
+    RelatedFrames frames;
     FrameRelation tie;
     std::vector<FrameWay> ways;
     std::vector<WeighedDrift> drifts;

@@ -283,7 +283,7 @@ void SearchBounds<D>::AddTiedRegions(double position_variance,
   const std::size_t parts =
       std::max<std::size_t>(1, model_.scales.size()) * ways.size();
   const auto add = [&](const WeighedScale& scale, const FrameWay& way) {
-    const FramePair<D> pair(relation.nodes(), relation.tie(), query_.node,
+    const FramePair<D> pair(relation.frames(), relation.tie(), query_.node,
                             model_.similarity.inflation * scale.scale,
                             way.fixed_scale);
     const std::size_t reference =

@@ -46,7 +46,7 @@ GatedDifference DecideAcross(const Query& query, const History& history,
                              const SimilarityModel& model, const Gate& gate,
                              NodeIndex matched, const FrameRelation& tie,
                              double fixed_scale) {
-  const FramePair<D> pair(history.relation.nodes(), tie, query.node,
+  const FramePair<D> pair(history.relation.frames(), tie, query.node,
                           model.inflation, fixed_scale);
   const Pose pose = history.graph.pose(matched);
   const StateMatrix<D> gamma =

@@ -29,17 +29,19 @@ class Rivals::Passes {
   double Same(const RankedPlace& a, const RankedPlace& b) {
     const double ratio =
         std::min(a.log_likelihood_ratio, b.log_likelihood_ratio);
-    const std::size_t from = histories_[a.history].recording;
-    const std::size_t to = histories_[b.history].recording;
+    const std::size_t from = histories_[a.history].frame;
+    const std::size_t to = histories_[b.history].frame;
     if (from == to) {
       return SamePlaceProbability(histories_[a.history].graph, model_,
-                                  a.end.matched, b.end.matched, ratio);
+                                  a.end.matched, b.end.matched, ratio,
+                                  histories_[a.history].known_scale);
     }
     auto relations = relations_.find(from);
     if (relations == relations_.end()) {
       relations = relations_.emplace(from, frames_->From(from)).first;
     }
-    return SamePlaceAcross(frames_->nodes(), relations->second[to], model_,
+    return SamePlaceAcross(frames_->Between(from, to), relations->second[to],
+                           frames_->LinksBetween(from, to), model_,
                            a.end.matched, b.end.matched, ratio);
   }
 
@@ -47,7 +49,7 @@ class Rivals::Passes {
   const std::vector<History>& histories_;
   const FrameRelations* const frames_;
   const RelativeModel& model_;
-  // The relations of a recording to all others, once they were asked for.
+  // The relations of a frame to all others, once they were asked for.
   std::map<std::size_t, std::vector<FrameRelation>> relations_;
 };
 

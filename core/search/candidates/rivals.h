@@ -48,8 +48,8 @@ class Rivals {
   // or kWeighed if these are more. A road that was driven hundreds of times has
   // as many: all of them count, while only those that are weighed cost time,
   // O(places) each.
-  // `frames`: those of the recordings of the histories, or null where all are
-  // of one. All but the places are needed only while this is made.
+  // `frames`: those of the histories, or null where all are of one. All but the
+  // places are needed only while this is made.
   Rivals(const std::vector<History>& histories, const FrameRelations* frames,
          const RelativeModel& model, std::vector<RankedPlace> places,
          std::size_t answered = 0);

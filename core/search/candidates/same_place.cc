@@ -1,5 +1,6 @@
 #include "core/search/candidates/same_place.h"
 
+#include <algorithm>
 #include <cmath>
 
 #include "core/drive/node_range.h"
@@ -31,6 +32,18 @@ bool LoopJoins(const PoseGraph& graph, NodeIndex i, NodeIndex j) {
   return false;
 }
 
+bool LinkJoins(const RelatedFrames& frames,
+               const std::vector<ConfirmedLoop>& links, NodeIndex i,
+               NodeIndex j) {
+  return std::any_of(links.begin(), links.end(),
+                     [&](const ConfirmedLoop& link) {
+                       return frames.asking.graph.MetersApart(link.query, i) <=
+                                  kPlaceRadiusMeters &&
+                              frames.other.graph.MetersApart(link.matched, j) <=
+                                  kPlaceRadiusMeters;
+                     });
+}
+
 double ProbabilityOf(const RelativeModel& model, double log_prior,
                      double log_likelihood_ratio) {
   const double log_odds =
@@ -45,13 +58,14 @@ bool FaceAlike(double a, double b) {
 }
 
 template <int D>
-double SimilarityAcross(const FrameNodes& nodes, const FrameRelation& relation,
+double SimilarityAcross(const RelatedFrames& frames,
+                        const FrameRelation& relation,
                         const SimilarityModel& model, NodeIndex i,
                         NodeIndex j) {
-  const FramePair<D> pair(nodes, relation, i, model.inflation);
-  const Pose pose = nodes.graph.pose(j);
+  const FramePair<D> pair(frames, relation, i, model.inflation);
+  const Pose pose = frames.other.graph.pose(j);
   StateMatrix<D> gamma =
-      pair.Covariance(j, pose, ToMatrix<D>(nodes.graph.covariance(j)));
+      pair.Covariance(j, pose, ToMatrix<D>(frames.other.graph.covariance(j)));
   AddTolerance<D>(model.tolerance, &gamma);
   const auto terms =
       Evaluate<D>(gamma, ToVector<D>(Difference(pair.query(), pose)));
@@ -63,7 +77,8 @@ double SimilarityAcross(const FrameNodes& nodes, const FrameRelation& relation,
 
 double SamePlaceProbability(const PoseGraph& graph, const RelativeModel& model,
                             NodeIndex i, NodeIndex j,
-                            double log_likelihood_ratio) {
+                            double log_likelihood_ratio,
+                            std::optional<double> known_scale) {
   if (graph.MetersApart(i, j) <= 2.0 * kPlaceRadiusMeters) return 0.0;
   if (graph.has_loop_edges() &&
       DirectionOf(graph, {i, j}) == Direction::kSame &&
@@ -71,6 +86,7 @@ double SamePlaceProbability(const PoseGraph& graph, const RelativeModel& model,
     return 1.0;
   }
   SimilarityModel anchor = model.similarity;
+  anchor.inflation = known_scale.value_or(anchor.inflation);
   anchor.form = LikelihoodForm::kGaussian;
   anchor.direction = Direction::kSame;
   const double similarity = LogSimilarity(graph, anchor, i, j);
@@ -79,23 +95,27 @@ double SamePlaceProbability(const PoseGraph& graph, const RelativeModel& model,
                        log_likelihood_ratio);
 }
 
-double SamePlaceAcross(const FrameNodes& nodes, const FrameRelation& relation,
+double SamePlaceAcross(const RelatedFrames& frames,
+                       const FrameRelation& relation,
+                       const std::vector<ConfirmedLoop>& links,
                        const RelativeModel& model, NodeIndex i, NodeIndex j,
                        double log_likelihood_ratio) {
   if (!relation.is_tied()) {
     return ProbabilityOf(model, -LogWorldNodes(model), log_likelihood_ratio);
   }
   const double turned =
-      relation.transform.heading + nodes.graph.pose(j).heading;
-  if (nodes.graph.has_loop_edges() &&
-      FaceAlike(nodes.graph.pose(i).heading, turned) &&
-      LoopJoins(nodes.graph, i, j)) {
+      relation.transform.heading + frames.other.graph.pose(j).heading;
+  const PoseGraph& graph = frames.asking.graph;
+  if (FaceAlike(graph.pose(i).heading, turned) &&
+      (frames.are_of_one_drive()
+           ? graph.has_loop_edges() && LoopJoins(graph, i, j)
+           : LinkJoins(frames, links, i, j))) {
     return 1.0;
   }
   const double similarity =
       model.similarity.state_space == StateSpace::kPlanar
-          ? SimilarityAcross<3>(nodes, relation, model.similarity, i, j)
-          : SimilarityAcross<4>(nodes, relation, model.similarity, i, j);
+          ? SimilarityAcross<3>(frames, relation, model.similarity, i, j)
+          : SimilarityAcross<4>(frames, relation, model.similarity, i, j);
   if (similarity == kImpossible) return 0.0;
   return ProbabilityOf(model, similarity + LogNewPlaceTerm(model),
                        log_likelihood_ratio);

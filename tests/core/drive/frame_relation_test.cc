@@ -370,7 +370,7 @@ TEST(FrameRelationsTest, DatumsOfOneNameErrTogetherAndOthersByThemselves) {
   const FrameRelations relations(chains.nodes(), recordings,
                                  chains.graph().size() - 1, {});
   const std::vector<FrameRelation> from = relations.From(2);
-  ASSERT_EQ(from.size(), 4u);
+  ASSERT_EQ(relations.size(), 4u);
   EXPECT_EQ(from[2].state, FrameState::kSame);
   EXPECT_EQ(from[0].fixed.norm(), 0.0);
   EXPECT_EQ(from[0].state, FrameState::kDatum);
