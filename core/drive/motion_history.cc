@@ -41,7 +41,7 @@ MotionHistory::MotionHistory(StateSpace space, const Correlation& correlation,
                              NodeIndex stretch_nodes)
     : correlation_(correlation), turn_bins_(stretch_nodes) {
   assert(stretch_nodes >= 1);
-  if (space == StateSpace::kSpatial) sums_.emplace<Sums<4>>();
+  if (space == StateSpace::kSpatial) sums_.emplace<BlockSums<4>>();
 }
 
 void MotionHistory::Extend(const PoseGraph& graph) {
@@ -80,34 +80,31 @@ void MotionHistory::MergeLastTwo() {
 }
 
 template <int D>
-MotionStatistics<D> MotionHistory::Measure(const PoseGraph& graph,
-                                           NodeIndex last) const {
+MotionSums<D> MotionHistory::Sums(const PoseGraph& graph,
+                                  NodeIndex last) const {
   assert(last < graph.size());
-  const Sums<D>& kept = std::get<Sums<D>>(sums_);
+  const BlockSums<D>& kept = std::get<BlockSums<D>>(sums_);
   const auto blocks = std::min<NodeIndex>((last + 1) / kBlockNodes,
                                           static_cast<NodeIndex>(kept.size()));
   MotionSums<D> sums;
   if (blocks > 0) sums = kept[static_cast<std::size_t>(blocks - 1)];
   AddMotion<D>(graph, correlation_, blocks * kBlockNodes, last + 1, &sums);
-  return MeanMotion<D>(correlation_, sums);
+  return sums;
 }
 
-std::vector<double> MotionHistory::Shares(const PoseGraph& graph,
-                                          NodeIndex last,
-                                          const std::vector<double>& turns,
-                                          double tolerance_radians) const {
+void MotionHistory::Count(const PoseGraph& graph, NodeIndex last,
+                          StretchCounter* counter) const {
   assert(last < graph.size());
-  StretchCounter counter(turns, tolerance_radians);
   const auto add = [&](NodeIndex first, NodeIndex end, std::int64_t times) {
     VisitStretches(graph, stretch_nodes(), first, end,
-                   [&](double turn) { counter.Add(turn, times); });
+                   [&](double turn) { counter->Add(turn, times); });
   };
   const NodeIndex end = last + 1;
   NodeIndex begin = 0;
   for (const Run& run : runs_) {
     if (begin >= end) break;
     if (run.end - end < end - begin) {
-      counter.AddSorted(run.turns);
+      counter->AddSorted(run.turns);
       // Takes those beyond the last node back out, if any.
       add(end, run.end, -1);
     } else {
@@ -116,7 +113,6 @@ std::vector<double> MotionHistory::Shares(const PoseGraph& graph,
     begin = run.end;
   }
   add(begin, end, 1);
-  return counter.Shares();
 }
 
 std::size_t MotionHistory::bytes() const {
@@ -220,9 +216,9 @@ void MotionHistory::EndLoading() {
   runs_ = std::move(merged);
 }
 
-template MotionStatistics<3> MotionHistory::Measure<3>(const PoseGraph&,
-                                                       NodeIndex) const;
-template MotionStatistics<4> MotionHistory::Measure<4>(const PoseGraph&,
-                                                       NodeIndex) const;
+template MotionSums<3> MotionHistory::Sums<3>(const PoseGraph&,
+                                              NodeIndex) const;
+template MotionSums<4> MotionHistory::Sums<4>(const PoseGraph&,
+                                              NodeIndex) const;
 
 }  // namespace revisit::core

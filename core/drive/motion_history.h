@@ -47,17 +47,16 @@ class MotionHistory {
   // Adds the nodes that the graph has grown by. Amortised O(log n) per node.
   void Extend(const PoseGraph& graph);
 
-  // MeasureMotion() over nodes [0, last]. O(1 + nodes from the last added block
-  // to `last`). REQUIRES: D is the dimension of the state space.
+  // AddMotion() over nodes [0, last]. O(1 + nodes from the last added block to
+  // `last`). REQUIRES: D is the dimension of the state space.
   template <int D>
-  MotionStatistics<D> Measure(const PoseGraph& graph, NodeIndex last) const;
+  MotionSums<D> Sums(const PoseGraph& graph, NodeIndex last) const;
 
-  // ShareOfStretches() over nodes [0, last]. O(turns log^2 n), and
-  // O(log(turns)) for each node between the last added block and `last`; visits
-  // no more nodes than ShareOfStretches() itself.
-  std::vector<double> Shares(const PoseGraph& graph, NodeIndex last,
-                             const std::vector<double>& turns,
-                             double tolerance_radians) const;
+  // Lets the counter count the stretches within nodes [0, last]. O(turns log^2
+  // n), and O(log(turns)) for each node between the last added block and
+  // `last`; visits no more nodes than VisitStretches() itself.
+  void Count(const PoseGraph& graph, NodeIndex last,
+             StretchCounter* counter) const;
 
   // Memory held on the heap.
   std::size_t bytes() const;
@@ -94,8 +93,8 @@ class MotionHistory {
   HeadingBins heading_bins_;
   // Entry k sums over the first k + 1 blocks.
   template <int D>
-  using Sums = std::vector<MotionSums<D>>;
-  std::variant<Sums<3>, Sums<4>> sums_;
+  using BlockSums = std::vector<MotionSums<D>>;
+  std::variant<BlockSums<3>, BlockSums<4>> sums_;
   std::vector<Run> runs_;
 };
 

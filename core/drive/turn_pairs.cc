@@ -59,6 +59,10 @@ bool TurnBins::LoadNodes(std::size_t count, ByteReader* reader) {
 
 TurnPairs::TurnPairs(const TurnBins& bins, NodeIndex last)
     : counts_(kTurnBins * kTurnBins), later_(kTurnBins) {
+  Add(bins, last);
+}
+
+void TurnPairs::Add(const TurnBins& bins, NodeIndex last) {
   const std::vector<std::uint8_t>& all = bins.bins();
   assert(last < bins.size());
   const auto stretch = static_cast<std::size_t>(bins.stretch_nodes());
@@ -67,11 +71,7 @@ TurnPairs::TurnPairs(const TurnBins& bins, NodeIndex last)
     // not, this is no pair.
     if (all[i] == kNoTurn || all[i - stretch] == kNoTurn) continue;
     ++counts_[static_cast<std::size_t>(all[i] * kTurnBins + all[i - stretch])];
-  }
-  for (std::size_t later = 0; later < kTurnBins; ++later) {
-    for (std::size_t turn = 0; turn < kTurnBins; ++turn) {
-      later_[later] += counts_[later * kTurnBins + turn];
-    }
+    ++later_[all[i]];
   }
 }
 

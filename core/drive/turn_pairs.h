@@ -49,11 +49,16 @@ class TurnBins {
   std::vector<std::uint8_t> bins_;
 };
 
-// The pairs whose later stretch ends at or before one node.
+// The pairs whose later stretch ends at or before one node, of one graph or of
+// several.
 class TurnPairs {
  public:
   // O(last). REQUIRES: the bins have node `last`.
   TurnPairs(const TurnBins& bins, NodeIndex last);
+
+  // Adds those of another graph. REQUIRES: as for the constructor; stretches of
+  // as many nodes.
+  void Add(const TurnBins& bins, NodeIndex last);
 
   // The share of the stretches before one that turns by `later` which turn by
   // `turn`. `share` is that of all stretches which turn by `turn`, positive:

@@ -4,11 +4,19 @@
 #define REVISIT_CORE_SEARCH_ALIGNMENT_QUERY_H_
 
 #include <cstdint>
+#include <vector>
 
 #include "core/drive/motion_history.h"
 #include "core/drive/pose_graph.h"
 
 namespace revisit::core {
+
+// The nodes [0, last] of a graph, and its index or null. Both outlive this.
+struct DrivenMotion {
+  const PoseGraph& graph;
+  const MotionHistory* history = nullptr;
+  NodeIndex last = 0;
+};
 
 // All that an answer tells of poses and errors is in the frame of the asking
 // drive.
@@ -23,6 +31,9 @@ struct Query {
   // The index of the graph, or null. It saves measuring the graph's motion
   // anew.
   const MotionHistory* motion_history = nullptr;
+  // The motion of other drives that are searched too: what their roads and
+  // estimators are like counts as that of the graph up to the node does.
+  const std::vector<DrivenMotion>* others = nullptr;
 };
 
 }  // namespace revisit::core

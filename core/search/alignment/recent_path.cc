@@ -6,8 +6,7 @@ namespace revisit::core {
 
 template <int D>
 RecentPath<D>::RecentPath(const Query& query, const RelativeModel& model)
-    : filter_(query.graph, query.motion_history, query.node, query.steps,
-              model.similarity.correlation, model.shape,
+    : filter_(query, model.similarity.correlation, model.shape,
               model.similarity.tolerance, model.spacing_meters,
               model.similarity.inflation),
       weight_(ShapeWeight(model.shape, model.spacing_meters)),

@@ -5,6 +5,9 @@
 #include <cassert>
 #include <cmath>
 
+#include "core/drive/motion_history.h"
+#include "core/drive/motion_statistics.h"
+#include "core/drive/turn_pairs.h"
 #include "core/geometry/state_matrix.h"
 #include "core/noise/similarity_model.h"
 
@@ -95,42 +98,109 @@ std::vector<Stretch> Stretches(NodeIndex query, std::int64_t steps,
   return stretches;
 }
 
-// The pairs of turns up to the query.
-TurnPairs PairsUpTo(const PoseGraph& graph, const MotionHistory* history,
-                    NodeIndex query, NodeIndex stretch_nodes) {
-  if (history != nullptr && history->stretch_nodes() == stretch_nodes &&
-      history->turn_bins().size() > query) {
-    return TurnPairs(history->turn_bins(), query);
+// The motion that counts for a query: that of its own graph first.
+std::vector<DrivenMotion> MotionFor(const Query& query) {
+  std::vector<DrivenMotion> motion = {
+      {query.graph, query.motion_history, query.node}};
+  if (query.others == nullptr) return motion;
+  for (const DrivenMotion& other : *query.others) motion.push_back(other);
+  return motion;
+}
+
+template <int D>
+MotionSums<D> SumsOf(const DrivenMotion& motion,
+                     const Correlation& correlation) {
+  if (motion.history != nullptr &&
+      motion.history->correlation() == correlation) {
+    return motion.history->Sums<D>(motion.graph, motion.last);
   }
-  TurnBins bins(stretch_nodes);
-  bins.Extend(graph);
-  return TurnPairs(bins, query);
+  MotionSums<D> sums;
+  AddMotion<D>(motion.graph, correlation, 0, motion.last + 1, &sums);
+  return sums;
+}
+
+template <int D>
+MotionStatistics<D> MeasureAll(const std::vector<DrivenMotion>& all,
+                               const Correlation& correlation) {
+  MotionSums<D> sums = SumsOf<D>(all.front(), correlation);
+  for (std::size_t i = 1; i < all.size(); ++i) {
+    const MotionSums<D> more = SumsOf<D>(all[i], correlation);
+    sums.steps += more.steps;
+    sums.sum += more.sum;
+  }
+  return MeanMotion<D>(correlation, sums);
+}
+
+// The shares of all stretches that turn so.
+std::vector<double> SharesOf(const std::vector<DrivenMotion>& all,
+                             NodeIndex stretch_nodes,
+                             const std::vector<double>& turns,
+                             double tolerance_radians) {
+  StretchCounter counter(turns, tolerance_radians);
+  for (const DrivenMotion& motion : all) {
+    if (motion.history != nullptr &&
+        motion.history->stretch_nodes() == stretch_nodes) {
+      motion.history->Count(motion.graph, motion.last, &counter);
+    } else {
+      VisitStretches(motion.graph, stretch_nodes, 0, motion.last + 1,
+                     [&](double turn) { counter.Add(turn); });
+    }
+  }
+  return counter.Shares();
+}
+
+// The bins of a graph's stretches, made anew where its index has others.
+class BinsOf {
+ public:
+  BinsOf(const DrivenMotion& motion, NodeIndex stretch_nodes)
+      : made_(stretch_nodes) {
+    const MotionHistory* const history = motion.history;
+    if (history != nullptr && history->stretch_nodes() == stretch_nodes &&
+        history->turn_bins().size() > motion.last) {
+      kept_ = &history->turn_bins();
+    } else {
+      made_.Extend(motion.graph);
+    }
+  }
+
+  const TurnBins& operator*() const { return kept_ ? *kept_ : made_; }
+
+ private:
+  const TurnBins* kept_ = nullptr;
+  TurnBins made_;
+};
+
+TurnPairs PairsOf(const std::vector<DrivenMotion>& all,
+                  NodeIndex stretch_nodes) {
+  TurnPairs pairs(*BinsOf(all.front(), stretch_nodes), all.front().last);
+  for (std::size_t i = 1; i < all.size(); ++i) {
+    pairs.Add(*BinsOf(all[i], stretch_nodes), all[i].last);
+  }
+  return pairs;
 }
 
 // For each step, -ln of the probability that another road turns as the path
 // does around it, given how that road turns right after; where headings jitter,
 // not given that, since bins are too narrow for such turns.
-std::vector<double> Surprises(const PoseGraph& graph,
-                              const MotionHistory* history, NodeIndex query,
-                              std::int64_t steps, NodeIndex stretch_nodes,
-                              double tolerance_radians, bool jitter) {
-  const std::vector<Stretch> stretches = Stretches(query, steps, stretch_nodes);
+std::vector<double> Surprises(const Query& query,
+                              const std::vector<DrivenMotion>& all,
+                              NodeIndex stretch_nodes, double tolerance_radians,
+                              bool jitter) {
+  const std::vector<Stretch> stretches =
+      Stretches(query.node, query.steps, stretch_nodes);
   std::vector<double> turns;
   turns.reserve(stretches.size());
   for (const Stretch& stretch : stretches) {
-    turns.push_back(Turn(graph, stretch));
+    turns.push_back(Turn(query.graph, stretch));
   }
   std::vector<double> shares =
-      history != nullptr && history->stretch_nodes() == stretch_nodes
-          ? history->Shares(graph, query, turns, tolerance_radians)
-          : ShareOfStretches(graph, query, stretch_nodes, turns,
-                             tolerance_radians);
+      SharesOf(all, stretch_nodes, turns, tolerance_radians);
   if (!jitter) {
-    const TurnPairs pairs = PairsUpTo(graph, history, query, stretch_nodes);
+    const TurnPairs pairs = PairsOf(all, stretch_nodes);
     for (std::size_t t = 0; t < shares.size(); ++t) {
       const Stretch after{stretches[t].last, stretches[t].last + stretch_nodes};
-      if (after.last > query) continue;
-      shares[t] = pairs.Share(turns[t], Turn(graph, after), shares[t]);
+      if (after.last > query.node) continue;
+      shares[t] = pairs.Share(turns[t], Turn(query.graph, after), shares[t]);
     }
   }
   for (double& share : shares) share = -std::log(share);
@@ -144,17 +214,15 @@ double ShapeWeight(const ShapeModel& model, double spacing_meters) {
 }
 
 template <int D>
-ShapeFilter<D>::ShapeFilter(const PoseGraph& graph,
-                            const MotionHistory* history, NodeIndex query,
-                            std::int64_t steps, const Correlation& correlation,
+ShapeFilter<D>::ShapeFilter(const Query& query, const Correlation& correlation,
                             const ShapeModel& model,
                             const PlaceTolerance& place_tolerance,
                             double spacing_meters, double inflation) {
-  assert(1 <= steps && steps <= query + 1);
-  const MotionStatistics<D> motion =
-      history != nullptr && history->correlation() == correlation
-          ? history->Measure<D>(graph, query)
-          : MeasureMotion<D>(graph, correlation, query);
+  const PoseGraph& graph = query.graph;
+  const std::int64_t steps = query.steps;
+  assert(1 <= steps && steps <= query.node + 1);
+  const std::vector<DrivenMotion> all = MotionFor(query);
+  const MotionStatistics<D> motion = MeasureAll<D>(all, correlation);
   // Both passes drift: twice the noise of one.
   const double claimed = 2.0 * inflation * inflation;
   StateMatrix<D> noise = claimed * motion.drift;
@@ -168,7 +236,7 @@ ShapeFilter<D>::ShapeFilter(const PoseGraph& graph,
 
   const double weight = ShapeWeight(model, spacing_meters);
   const std::vector<double> surprises = Surprises(
-      graph, history, query, steps, StretchNodes(model, spacing_meters, steps),
+      query, all, StretchNodes(model, spacing_meters, steps),
       std::sqrt(2.0 * (tolerance(D - 1, D - 1) + jitter(D - 1, D - 1))),
       jitter(D - 1, D - 1) > 0.0);
 
@@ -182,7 +250,7 @@ ShapeFilter<D>::ShapeFilter(const PoseGraph& graph,
   constexpr int h = D - 1;
   headings_ = {end_prior(h, h), noise(h, h), tolerance(h, h) + jitter(h, h)};
 
-  const Pose end = graph.pose(query);
+  const Pose end = graph.pose(query.node);
   const StateMatrix<D> from_end = TurnAbout<D>(-end.heading);
   Errors errors{end_prior, end_prior, end_prior};
   steps_.resize(static_cast<std::size_t>(steps));
@@ -191,7 +259,8 @@ ShapeFilter<D>::ShapeFilter(const PoseGraph& graph,
   steps_[0].end = end_prior;
   for (std::int64_t t = 1; t < steps; ++t) {
     Step& step = steps_[static_cast<std::size_t>(t)];
-    step.path = from_end * ToVector<D>(Difference(graph.pose(query - t), end));
+    step.path =
+        from_end * ToVector<D>(Difference(graph.pose(query.node - t), end));
     const StateVector<D>& after = steps_[static_cast<std::size_t>(t - 1)].path;
     step.step_x = step.path(0) - after(0);
     step.step_y = step.path(1) - after(1);

@@ -26,7 +26,8 @@
 //   -ln P(turn of p around t | turn of p right after it) - 1/2 nu^T S^-1 nu
 //
 // with nu the innovation, S its covariance, and P counted over the vehicle's
-// own stretches (turn_pairs.h); where headings jitter, whatever the turn after.
+// own stretches (turn_pairs.h), and over those of all other drives that are
+// searched; where headings jitter, whatever the turn after.
 // A straight gains next to nothing and a corner much, unless corners follow
 // each other everywhere, as in a grid; a mismatch costs the same on all.
 //
@@ -48,14 +49,13 @@
 #include <cstdint>
 #include <vector>
 
-#include "core/drive/motion_history.h"
 #include "core/drive/pose_graph.h"
-#include "core/drive/turn_pairs.h"
 #include "core/geometry/heading.h"
 #include "core/geometry/pose.h"
 #include "core/geometry/state_matrix.h"
 #include "core/noise/noise_model.h"
 #include "core/search/alignment/log_similarity.h"
+#include "core/search/alignment/query.h"
 #include "core/search/alignment/walk_kernel.h"
 #include "core/settings.h"
 
@@ -96,15 +96,12 @@ class ShapeFilter {
     double log_likelihood_ratio = 0.0;
   };
 
-  // The filter of the path of `steps` nodes that ends at `query`. `inflation`
-  // multiplies the standard deviations of the nodes' motion under this
-  // correlation model. `history` is the graph's or null; statistics that it
-  // does not have are measured. REQUIRES: the path lies within one segment.
-  ShapeFilter(const PoseGraph& graph, const MotionHistory* history,
-              NodeIndex query, std::int64_t steps,
-              const Correlation& correlation, const ShapeModel& model,
-              const PlaceTolerance& place_tolerance, double spacing_meters,
-              double inflation);
+  // The filter of the query's path. `inflation` multiplies the standard
+  // deviations of the nodes' motion under this correlation model. Statistics
+  // that the indexes of graphs do not have are measured.
+  ShapeFilter(const Query& query, const Correlation& correlation,
+              const ShapeModel& model, const PlaceTolerance& place_tolerance,
+              double spacing_meters, double inflation);
 
   // Nodes of the path.
   std::int64_t size() const { return static_cast<std::int64_t>(steps_.size()); }

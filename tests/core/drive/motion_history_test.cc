@@ -14,6 +14,15 @@
 namespace revisit::core {
 namespace {
 
+std::vector<double> SharesBy(const MotionHistory& history,
+                             const PoseGraph& graph, NodeIndex last,
+                             const std::vector<double>& turns,
+                             double tolerance_radians) {
+  StretchCounter counter(turns, tolerance_radians);
+  history.Count(graph, last, &counter);
+  return counter.Shares();
+}
+
 constexpr CorrelationModel kModels[] = {
     CorrelationModel::kDeadReckoning, CorrelationModel::kIndependent,
     CorrelationModel::kFilter, CorrelationModel::kCorrelatedFixes};
@@ -28,7 +37,8 @@ void GrowTo(NodeIndex size, const PoseGraph& full, PoseGraph* graph) {
 template <int D>
 void ExpectAsMeasured(const PoseGraph& graph, CorrelationModel model,
                       const MotionHistory& history, NodeIndex last) {
-  const MotionStatistics<D> kept = history.Measure<D>(graph, last);
+  const MotionStatistics<D> kept =
+      MeanMotion<D>(history.correlation(), history.Sums<D>(graph, last));
   const MotionStatistics<D> slow = MeasureMotion<D>(graph, model, last);
   EXPECT_EQ(kept.steps, slow.steps);
   EXPECT_EQ(kept.drift, slow.drift);
@@ -58,7 +68,7 @@ void ExpectAsCounted(std::mt19937_64& random, const PoseGraph& graph,
                          : Uniform(random, -kPi, kPi));
   }
   EXPECT_EQ(
-      history.Shares(graph, last, turns, tolerance),
+      SharesBy(history, graph, last, turns, tolerance),
       ShareOfStretches(graph, last, history.stretch_nodes(), turns, tolerance));
 }
 
@@ -197,9 +207,9 @@ TEST(MotionHistoryTest, OfASingleNodeThereIsNothingToTell) {
   MotionHistory history(StateSpace::kPlanar, CorrelationModel::kDeadReckoning,
                         1);
   history.Extend(graph);
-  EXPECT_EQ(history.Measure<3>(graph, 0).steps, 0);
-  EXPECT_EQ(history.Shares(graph, 0, {0.0}, 0.1), std::vector<double>{1.0});
-  EXPECT_EQ(history.Shares(graph, 0, {}, 0.1), std::vector<double>{});
+  EXPECT_EQ(history.Sums<3>(graph, 0).steps, 0);
+  EXPECT_EQ(SharesBy(history, graph, 0, {0.0}, 0.1), std::vector<double>{1.0});
+  EXPECT_EQ(SharesBy(history, graph, 0, {}, 0.1), std::vector<double>{});
 }
 
 }  // namespace

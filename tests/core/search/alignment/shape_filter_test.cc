@@ -102,10 +102,10 @@ void ExpectFilterIsTheDenseGaussian(std::mt19937_64& random,
                         StretchNodes(window.shape, window.spacing, 1000));
   history.Extend(window.graph);
   // Statistics that the history does not have are measured.
-  const ShapeFilter<D> filter(
-      window.graph, UniformInt(random, 0, 1) ? &history : nullptr, window.query,
-      window.steps, window.correlation, window.shape, window.place,
-      window.spacing, window.inflation);
+  const ShapeFilter<D> filter({window.graph, window.query, window.steps,
+                               UniformInt(random, 0, 1) ? &history : nullptr},
+                              window.correlation, window.shape, window.place,
+                              window.spacing, window.inflation);
   ASSERT_EQ(filter.size(), window.steps);
   EXPECT_EQ(filter.EndCertainty(0), (StateMatrix<D>::Zero()));
 
@@ -194,7 +194,7 @@ TEST(ShapeFilterTest,
       window.graph, window.query, window.steps,
       {3, window.correlation, motion.drift, motion.jitter, window.shape,
        window.place, window.spacing, window.inflation});
-  const ShapeFilter<3> filter(window.graph, nullptr, window.query, window.steps,
+  const ShapeFilter<3> filter({window.graph, window.query, window.steps},
                               window.correlation, window.shape, window.place,
                               window.spacing, window.inflation);
   const oracle::WideMatrix shrunk = dense.end_prior() - dense.EndCovariance(19);
@@ -226,7 +226,7 @@ TEST(ShapeFilterTest, ACornerTellsMoreThanAStraight) {
     pose.y += 2.0 * std::sin(pose.heading);
   }
   const auto ratio = [&graph](NodeIndex query, std::int64_t steps) {
-    const ShapeFilter<3> filter(graph, nullptr, query, steps,
+    const ShapeFilter<3> filter({graph, query, steps},
                                 CorrelationModel::kDeadReckoning, ShapeModel{},
                                 PlaceTolerance{}, 2.0, 1.0);
     const Pose& end = graph.node(query).pose;

@@ -168,10 +168,11 @@ void ExpectWhatTheFilterSays(std::mt19937_64& random, WalksSeen* seen) {
   ShapeModel model;
   model.tolerance = {Uniform(random, 0.2, 2.0), Uniform(random, 0.02, 0.2)};
   const ShapeFilter<D> filter(
-      graph, nullptr,
-      UniformInt(random, static_cast<int>(steps),
-                 static_cast<int>(graph.size()) - 1),
-      steps, static_cast<CorrelationModel>(UniformInt(random, 0, 1)), model,
+      {graph,
+       UniformInt(random, static_cast<int>(steps),
+                  static_cast<int>(graph.size()) - 1),
+       steps},
+      static_cast<CorrelationModel>(UniformInt(random, 0, 1)), model,
       PlaceTolerance{}, 2.0, 1.0);
   const std::int64_t t =
       UniformInt(random, 1, static_cast<int>(filter.size()) - 1);
@@ -304,7 +305,7 @@ TEST(WalkOnTest, MachinesAgreeToTheLastBit) {
   std::mt19937_64 random = SeededRandom();
   const PoseGraph graph = RandomDrive(random, 120);
   const auto poses = PosesOf(graph);
-  const ShapeFilter<4> filter(graph, nullptr, 119, 20,
+  const ShapeFilter<4> filter({graph, 119, 20},
                               CorrelationModel::kDeadReckoning, ShapeModel{},
                               PlaceTolerance{}, 2.0, 1.0);
   Walkers start;
