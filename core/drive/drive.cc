@@ -14,6 +14,7 @@
 #include "core/drive/confirmed_loop.h"
 #include "core/drive/consistency_monitor.h"
 #include "core/drive/distance_resampler.h"
+#include "core/drive/drive_view.h"
 #include "core/drive/dropped_stretch.h"
 #include "core/drive/frame_relations.h"
 #include "core/drive/frame_watch.h"
@@ -654,13 +655,29 @@ std::optional<Agreement> Drive::AgreementOf(
                          model, loop);
 }
 
-FrameRelations Drive::RelationsAt(NodeIndex query) const {
+std::vector<ConfirmedLoop> Drive::LoopsAt(NodeIndex query) const {
   std::vector<ConfirmedLoop> loops;
   for (const ConfirmedPair& confirmed : impl_->confirmed) {
     const ConfirmedLoop& loop = confirmed.loop;
     if (std::max(loop.query, loop.matched) <= query) loops.push_back(loop);
   }
-  return {impl_->Frames(), impl_->recordings, query, loops};
+  return loops;
+}
+
+FrameNodes Drive::frame_nodes() const { return impl_->Frames(); }
+
+FrameRelations Drive::RelationsAt(NodeIndex query) const {
+  return {impl_->Frames(), impl_->recordings, query, LoopsAt(query)};
+}
+
+std::shared_ptr<const DriveView> Drive::View(double shown_scale) const {
+  const DriveSettings& settings = impl_->settings;
+  return std::make_shared<const DriveView>(
+      DriveView{settings.state_space, settings.node_spacing_meters,
+                CorrelationOf(settings.search),
+                shown_scale * SimilarityOf(settings.search).inflation,
+                impl_->graph, impl_->motion_history, impl_->block_bounds,
+                impl_->recordings, LoopsAt(impl_->graph.size() - 1)});
 }
 
 FrameRelations Drive::RelationsWithoutLoops(NodeIndex query) const {

@@ -37,7 +37,9 @@ class Recordings;
 struct Agreement;
 struct ConfirmedLoop;
 struct ConfirmedPair;
+struct DriveView;
 struct DroppedStretch;
+struct FrameNodes;
 struct MeasuredLoop;
 struct NodeRange;
 struct PoseSample;
@@ -217,8 +219,13 @@ class Drive {
   // which one lies in the query's recording, the other in this one.
   std::optional<ConfirmedLoop> LastConfirmed(NodeIndex query,
                                              std::size_t recording) const;
+  // The confirmed loops whose nodes both lie at or before the query, in the
+  // order in which they came.
+  std::vector<ConfirmedLoop> LoopsAt(NodeIndex query) const;
+  // What relations of the drive's frames are made from.
+  FrameNodes frame_nodes() const;
   // How the frames of the recordings up to the query's lie to each other, by
-  // the confirmed loops whose nodes both lie at or before it.
+  // LoopsAt() it.
   FrameRelations RelationsAt(NodeIndex query) const;
   // The same without any loop.
   FrameRelations RelationsWithoutLoops(NodeIndex query) const;
@@ -228,6 +235,13 @@ class Drive {
   // rejected there. Only nodes of one recording are near each other.
   std::vector<NodeRange> NotSought(NodeIndex query,
                                    double separation_meters) const;
+
+  // ---- What searches of other drives ask.
+
+  // The drive as it is now. `shown_scale`: the scale that its own searches have
+  // shown (CandidateSet::scale), 1 where they show none. O(nodes), some bytes
+  // of each.
+  std::shared_ptr<const DriveView> View(double shown_scale) const;
 
  private:
   struct Impl;

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <functional>
+#include <iterator>
 #include <limits>
 #include <queue>
 #include <string>
@@ -72,7 +73,8 @@ std::size_t FrameRelations::AddDrive(const FrameNodes& nodes,
 
 void FrameRelations::AddLink(std::size_t from, std::size_t to,
                              const ConfirmedLoop& link) {
-  links_.push_back({from, to, link});
+  links_[{from, to}].push_back({link.query, link.matched, nullptr});
+  links_[{to, from}].push_back({link.matched, link.query, nullptr});
   AddLoop(from, to, link);
 }
 
@@ -88,11 +90,10 @@ void FrameRelations::Cut(std::size_t first, std::size_t last) {
                                }),
                 edges.end());
   }
-  links_.erase(std::remove_if(links_.begin(), links_.end(),
-                              [&](const Link& link) {
-                                return is_cut(link.from) || is_cut(link.to);
-                              }),
-               links_.end());
+  for (auto links = links_.begin(); links != links_.end();) {
+    const auto& [from, to] = links->first;
+    links = is_cut(from) || is_cut(to) ? links_.erase(links) : std::next(links);
+  }
 }
 
 std::size_t FrameRelations::AddFrames(std::size_t count, std::size_t drive) {
@@ -217,17 +218,11 @@ std::vector<FrameRelation> FrameRelations::From(std::size_t asking) const {
   return relations;
 }
 
-std::vector<ConfirmedLoop> FrameRelations::LinksBetween(std::size_t from,
-                                                        std::size_t to) const {
-  std::vector<ConfirmedLoop> links;
-  for (const Link& link : links_) {
-    if (link.from == from && link.to == to) {
-      links.push_back(link.link);
-    } else if (link.from == to && link.to == from) {
-      links.push_back({link.link.matched, link.link.query, nullptr});
-    }
-  }
-  return links;
+const std::vector<ConfirmedLoop>& FrameRelations::LinksBetween(
+    std::size_t from, std::size_t to) const {
+  static const auto* const kNone = new std::vector<ConfirmedLoop>();
+  const auto links = links_.find({from, to});
+  return links == links_.end() ? *kNone : links->second;
 }
 
 }  // namespace revisit::core

@@ -63,19 +63,15 @@ class FrameRelations {
   RelatedFrames Between(std::size_t asking, std::size_t other) const {
     return {NodesOf(asking), NodesOf(other)};
   }
-  // The links that were added between two frames, as `from` asks.
-  std::vector<ConfirmedLoop> LinksBetween(std::size_t from,
-                                          std::size_t to) const;
+  // The links that were added between two frames, as `from` asks, without what
+  // was measured.
+  const std::vector<ConfirmedLoop>& LinksBetween(std::size_t from,
+                                                 std::size_t to) const;
 
  private:
   struct Edge {
     std::size_t to;
     FrameRelation relation;
-  };
-  struct Link {
-    std::size_t from;
-    std::size_t to;
-    ConfirmedLoop link;
   };
 
   // Of a frame that is none of a recording, those of any drive.
@@ -100,7 +96,9 @@ class FrameRelations {
   std::size_t recordings_ = 0;
   std::size_t shared_ = 0;
   std::map<std::string, std::size_t> datum_frames_;
-  std::vector<Link> links_;
+  // By the two frames, either way.
+  std::map<std::pair<std::size_t, std::size_t>, std::vector<ConfirmedLoop>>
+      links_;
 };
 
 }  // namespace revisit::core

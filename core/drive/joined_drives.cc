@@ -1,0 +1,107 @@
+#include "core/drive/joined_drives.h"
+
+#include <cassert>
+#include <utility>
+
+namespace revisit::core {
+namespace {
+
+bool AreOfKind(const FrameNodes& nodes, StateSpace state_space,
+               CorrelationModel model) {
+  return nodes.state_space == state_space && nodes.correlation.model == model;
+}
+
+}  // namespace
+
+JoinedDrives::JoinedDrives(std::vector<JoinedDrive> drives,
+                           std::vector<FrameLink> links)
+    : drives_(std::move(drives)), links_(std::move(links)) {
+  for (const JoinedDrive& drive : drives_) {
+    const DriveView& view = *drive.view;
+    std::optional<std::size_t>& frame = frames_.emplace_back();
+    if (view.graph.size() == 0) continue;
+    frame = KindOf(view.nodes())
+                .relations.AddDrive(view.nodes(), view.recordings,
+                                    view.graph.size() - 1, view.loops,
+                                    drive.datum.get());
+  }
+  for (const FrameLink& link : links_) {
+    assert(link.query_drive != link.matched_drive);
+    const DriveView& from = view(link.query_drive);
+    const DriveView& to = view(link.matched_drive);
+    const auto matched = FrameOf(link.matched_drive, from.nodes());
+    if (!matched || link.loop.query >= from.graph.size() ||
+        link.loop.matched >= to.graph.size()) {
+      continue;
+    }
+    KindOf(from.nodes())
+        .relations.AddLink(
+            *frames_[link.query_drive] + from.recordings.Of(link.loop.query),
+            *matched + to.recordings.Of(link.loop.matched), link.loop);
+  }
+}
+
+const JoinedDrives::Kind* JoinedDrives::FindKind(
+    const FrameNodes& nodes) const {
+  for (const Kind& kind : kinds_) {
+    if (AreOfKind(nodes, kind.state_space, kind.model)) return &kind;
+  }
+  return nullptr;
+}
+
+JoinedDrives::Kind& JoinedDrives::KindOf(const FrameNodes& nodes) {
+  for (Kind& kind : kinds_) {
+    if (AreOfKind(nodes, kind.state_space, kind.model)) return kind;
+  }
+  return kinds_.emplace_back(
+      Kind{nodes.state_space, nodes.correlation.model, FrameRelations()});
+}
+
+std::optional<std::size_t> JoinedDrives::FrameOf(
+    std::size_t drive, const FrameNodes& seen_from) const {
+  if (!AreOfKind(view(drive).nodes(), seen_from.state_space,
+                 seen_from.correlation.model)) {
+    return std::nullopt;
+  }
+  return frames_[drive];
+}
+
+SeenFrames JoinedDrives::SeenFrom(const FrameNodes& nodes,
+                                  const Recordings& recordings, NodeIndex query,
+                                  const std::vector<ConfirmedLoop>& loops,
+                                  std::optional<std::size_t> asking) const {
+  const Kind* const kind = FindKind(nodes);
+  SeenFrames seen{kind == nullptr ? FrameRelations() : kind->relations, 0};
+  if (!asking) {
+    seen.own = seen.relations.AddDrive(nodes, recordings, query, loops);
+    return seen;
+  }
+  if (const auto frame = FrameOf(*asking, nodes)) {
+    const DriveView& before = view(*asking);
+    seen.relations.Cut(
+        *frame, *frame + before.recordings.Of(before.graph.size() - 1) + 1);
+  }
+  seen.own = seen.relations.AddDrive(nodes, recordings, query, loops,
+                                     drives_[*asking].datum.get());
+  const auto is_own = [&](std::size_t drive) { return drive == *asking; };
+  // The frame that holds an end of a link, if it is one that is seen.
+  const auto frame_at = [&](std::size_t drive,
+                            NodeIndex node) -> std::optional<std::size_t> {
+    if (is_own(drive)) {
+      if (node > query) return std::nullopt;
+      return seen.own + recordings.Of(node);
+    }
+    const auto first = FrameOf(drive, nodes);
+    if (!first || node >= view(drive).graph.size()) return std::nullopt;
+    return *first + view(drive).recordings.Of(node);
+  };
+  for (const FrameLink& link : links_) {
+    if (!is_own(link.query_drive) && !is_own(link.matched_drive)) continue;
+    const auto from = frame_at(link.query_drive, link.loop.query);
+    const auto to = frame_at(link.matched_drive, link.loop.matched);
+    if (from && to) seen.relations.AddLink(*from, *to, link.loop);
+  }
+  return seen;
+}
+
+}  // namespace revisit::core

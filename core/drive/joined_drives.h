@@ -1,0 +1,101 @@
+// Drives of several vehicles whose frames lie in one world, and what is known
+// of how: views of the drives, where each was placed, and links between them.
+//
+// Made once for all searches until a view, a datum or a link is another: it
+// takes most of the time that relations of frames take.
+//
+// Thread-compatible: const calls may run at the same time.
+#ifndef REVISIT_CORE_DRIVE_JOINED_DRIVES_H_
+#define REVISIT_CORE_DRIVE_JOINED_DRIVES_H_
+
+#include <cstddef>
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "core/drive/confirmed_loop.h"
+#include "core/drive/drive_view.h"
+#include "core/drive/frame_relation.h"
+#include "core/drive/frame_relations.h"
+#include "core/drive/node_index.h"
+#include "core/drive/recordings.h"
+#include "core/geometry/recording_start.h"
+
+namespace revisit::core {
+
+struct JoinedDrive {
+  // Not null.
+  std::shared_ptr<const DriveView> view;
+  // Where its first recording was placed, whatever that one's own start says;
+  // or null.
+  std::shared_ptr<const RecordingStart> datum = nullptr;
+};
+
+// A confirmed link: `loop` with its query in one drive and its matched node in
+// another one, by their indexes among the joined drives.
+struct FrameLink {
+  std::size_t query_drive = 0;
+  std::size_t matched_drive = 0;
+  ConfirmedLoop loop;
+};
+
+// The frames of joined drives as one of them, or another drive, sees them.
+struct SeenFrames {
+  FrameRelations relations;
+  // The frame of the asking drive's first recording; those of its others
+  // follow.
+  std::size_t own = 0;
+};
+
+class JoinedDrives {
+ public:
+  // Links come in the order in which they were confirmed. Those with a node
+  // that a view does not have yet tie nothing, nor do those of two drives of
+  // other state spaces or noise models. REQUIRES: each link is of two drives.
+  JoinedDrives(std::vector<JoinedDrive> drives, std::vector<FrameLink> links);
+
+  std::size_t size() const { return drives_.size(); }
+  const DriveView& view(std::size_t drive) const {
+    return *drives_[drive].view;
+  }
+  const std::shared_ptr<const DriveView>& shared_view(std::size_t drive) const {
+    return drives_[drive].view;
+  }
+
+  // The frames as they are seen from the asking drive at a node: with its own
+  // recordings up to the query, and its loops, which are given, and links whose
+  // own nodes lie at or before the query; its view does not count. `asking` is
+  // its index; nothing where it is none of these. The graph of `nodes`, and
+  // this, must outlive the answer. O(frames + edges), and as much again for
+  // each frame to which the asking drive has links.
+  SeenFrames SeenFrom(const FrameNodes& nodes, const Recordings& recordings,
+                      NodeIndex query, const std::vector<ConfirmedLoop>& loops,
+                      std::optional<std::size_t> asking) const;
+
+  // The frame of the first recording of a drive, among those that a drive with
+  // this state space and noise model sees; those of its others follow. Nothing
+  // for a drive with another one, or without nodes.
+  std::optional<std::size_t> FrameOf(std::size_t drive,
+                                     const FrameNodes& seen_from) const;
+
+ private:
+  // Drives of one state space and noise model.
+  struct Kind {
+    StateSpace state_space;
+    CorrelationModel model;
+    FrameRelations relations;
+  };
+
+  const Kind* FindKind(const FrameNodes& nodes) const;
+  Kind& KindOf(const FrameNodes& nodes);
+
+  std::vector<JoinedDrive> drives_;
+  std::vector<FrameLink> links_;
+  std::vector<Kind> kinds_;
+  // By drive; nothing for those without nodes.
+  std::vector<std::optional<std::size_t>> frames_;
+};
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_DRIVE_JOINED_DRIVES_H_

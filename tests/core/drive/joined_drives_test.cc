@@ -1,0 +1,217 @@
+#include "core/drive/joined_drives.h"
+
+#include <gtest/gtest.h>
+
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "core/drive/drive.h"
+#include "core/drive/frame_relations.h"
+#include "core/drive/pose_graph.h"
+#include "core/drive/recordings.h"
+#include "core/settings.h"
+#include "tests/core/drive/drives.h"
+#include "tests/core/drive/scoped_drives.h"
+
+namespace revisit::core {
+namespace {
+
+std::vector<Pose> Part(std::size_t from, std::size_t to) {
+  const std::vector<Pose> ring = Ring(static_cast<double>(to));
+  return {ring.begin() + static_cast<std::ptrdiff_t>(from),
+          ring.begin() + static_cast<std::ptrdiff_t>(to)};
+}
+
+// A drive of one recording.
+Drive DriveOver(std::size_t from, std::size_t to,
+                const std::shared_ptr<const RecordingStart>& start,
+                const DriveSettings& settings = {}) {
+  Drive drive(settings);
+  drive.Append(RecordingOf(Part(from, to), start, 0), 1);
+  return drive;
+}
+
+SeenFrames SeenBy(const JoinedDrives& joined, const Drive& drive,
+                  std::optional<std::size_t> asking,
+                  std::optional<NodeIndex> at = std::nullopt) {
+  const NodeIndex query = at.value_or(drive.graph().size() - 1);
+  return joined.SeenFrom(drive.frame_nodes(), drive.recordings(), query,
+                         drive.LoopsAt(query), asking);
+}
+
+// The relation of the asking drive's first recording to another drive's.
+FrameRelation RelationTo(const JoinedDrives& joined, const Drive& drive,
+                         std::optional<std::size_t> asking, std::size_t other,
+                         std::optional<NodeIndex> at = std::nullopt) {
+  const SeenFrames seen = SeenBy(joined, drive, asking, at);
+  return seen.relations.From(
+      seen.own)[*joined.FrameOf(other, drive.frame_nodes())];
+}
+
+bool AreEqual(const Pose& a, const Pose& b) {
+  return a.x == b.x && a.y == b.y && a.z == b.z && a.heading == b.heading;
+}
+
+bool AreEqual(const FrameRelation& a, const FrameRelation& b) {
+  return a.state == b.state && AreEqual(a.transform, b.transform) &&
+         AreEqual(a.place, b.place) && a.fixed == b.fixed &&
+         a.drift == b.drift && a.known_drift == b.known_drift &&
+         a.links == b.links;
+}
+
+TEST(JoinedDrivesTest, ADatumOfOneNameIsWithoutErrorBetweenDrives) {
+  const auto site = DatumAt({10.0, 20.0, 0.0, 0.3}, 50.0, 0.1, "site");
+  const auto again = DatumAt({-30.0, 5.0, 0.0, -1.0}, 50.0, 0.1, "site");
+  const auto other = DatumAt({1.0, 2.0, 0.0, 0.0}, 50.0, 0.1);
+  const Drive a = DriveOver(0, 100, site);
+  const Drive b = DriveOver(100, 200, again);
+  const Drive c = DriveOver(200, 300, other);
+  const auto joined = Join({&a, &b, &c});
+  const FrameRelation to_b = RelationTo(*joined, a, 0, 1);
+  EXPECT_EQ(to_b.state, FrameState::kDatum);
+  EXPECT_EQ(to_b.fixed.norm(), 0.0);
+  const Pose wanted = Compose(Inverse(site->datum), again->datum);
+  EXPECT_NEAR(to_b.transform.x, wanted.x, 1e-9);
+  EXPECT_NEAR(to_b.transform.y, wanted.y, 1e-9);
+  EXPECT_GE(RelationTo(*joined, a, 0, 2).fixed(0, 0), 2.0 * 2500.0 - 1e-6);
+}
+
+// The relations of one drive of three recordings and those of three drives.
+TEST(JoinedDrivesTest, DrivesAreTiedAsTheRecordingsOfOneDriveAre) {
+  const std::vector<std::shared_ptr<const RecordingStart>> starts = {
+      DatumAt({10.0, 20.0, 0.0, 0.3}, 10.0, 0.1, "site"),
+      DatumAt({-3.0, 5.0, 0.0, -1.0}, 20.0, 0.2),
+      DatumAt({4.0, 7.0, 0.0, 2.0}, 30.0, 0.3, "site")};
+  Drive one(DriveSettings{});
+  std::vector<Drive> drives;
+  for (std::size_t k = 0; k < 3; ++k) {
+    one.Append(RecordingOf(Part(100 * k, 100 * k + 100), starts[k],
+                           one.last_sequence()),
+               k + 1);
+    drives.push_back(DriveOver(100 * k, 100 * k + 100, starts[k]));
+  }
+  const auto joined = Join({&drives[0], &drives[1], &drives[2]});
+  const std::vector<FrameRelation> together =
+      one.RelationsAt(one.graph().size() - 1).From(2);
+  for (std::size_t k = 0; k < 2; ++k) {
+    EXPECT_TRUE(AreEqual(RelationTo(*joined, drives[2], 2, k), together[k]))
+        << k;
+  }
+}
+
+TEST(JoinedDrivesTest, ALinkTiesAndARevisedLinkTiesOtherwise) {
+  const Drive a = DriveOver(0, 300, nullptr);
+  const Drive b = DriveOver(0, 300, nullptr);
+  const Drive c = DriveOver(0, 300, nullptr);
+  const std::vector<const Drive*> all = {&a, &b, &c};
+  EXPECT_EQ(RelationTo(*Join(all), a, 0, 1).state, FrameState::kNone);
+  const FrameLink link{0, 1, {40, 30, nullptr}};
+  const auto joined = Join(all, {link});
+  const FrameRelation tied = RelationTo(*joined, a, 0, 1);
+  EXPECT_EQ(tied.state, FrameState::kProvisional);
+  EXPECT_NEAR(Compose(tied.transform, b.graph().pose(30)).x,
+              a.graph().pose(40).x, 1e-9);
+  EXPECT_EQ(RelationTo(*joined, a, 0, 2).state, FrameState::kNone);
+  FrameLink revised = link;
+  revised.loop.matched = 35;
+  EXPECT_FALSE(AreEqual(RelationTo(*Join(all, {revised}), a, 0, 1), tied));
+  // From the other side it is the same link.
+  const FrameRelation back = RelationTo(*joined, b, 1, 0);
+  EXPECT_EQ(back.state, FrameState::kProvisional);
+  EXPECT_NEAR(Compose(back.transform, a.graph().pose(40)).x,
+              b.graph().pose(30).x, 1e-9);
+  // Over a drive between, whose errors come to those of the links.
+  const auto chained = Join(all, {link, {1, 2, {90, 80, nullptr}}});
+  const FrameRelation far = RelationTo(*chained, a, 0, 2);
+  EXPECT_EQ(far.state, FrameState::kProvisional);
+  EXPECT_GT(far.known_drift.norm(), 0.0);
+  EXPECT_EQ(far.drift.norm(), 0.0);
+}
+
+TEST(JoinedDrivesTest, DriftOfADriveBetweenHasTheScaleOfThatDrive) {
+  const Drive a = DriveOver(0, 300, nullptr);
+  const Drive b = DriveOver(0, 300, nullptr);
+  const Drive c = DriveOver(0, 300, nullptr);
+  const auto far = [&](double scale) {
+    const JoinedDrives joined(
+        {{a.View(1.0)}, {b.View(scale)}, {c.View(1.0)}},
+        {{0, 1, {40, 30, nullptr}}, {1, 2, {90, 80, nullptr}}});
+    return RelationTo(joined, a, 0, 2);
+  };
+  const FrameRelation usual = far(1.0);
+  const FrameRelation twice = far(2.0);
+  EXPECT_LT((twice.known_drift - 4.0 * usual.known_drift).norm(),
+            1e-9 * twice.known_drift.norm());
+  EXPECT_EQ(twice.fixed, usual.fixed);
+}
+
+TEST(JoinedDrivesTest, WhatTheAskingDriveLearnsAfterTheQueryDoesNotCount) {
+  const Drive a = DriveOver(0, 300, nullptr);
+  const Drive b = DriveOver(0, 300, nullptr);
+  const auto joined = Join({&a, &b}, {{0, 1, {100, 30, nullptr}}});
+  EXPECT_EQ(RelationTo(*joined, a, 0, 1, 100).state, FrameState::kProvisional);
+  EXPECT_EQ(RelationTo(*joined, a, 0, 1, 99).state, FrameState::kNone);
+}
+
+// The drive goes on behind its view, in a recording that the view does not
+// have.
+TEST(JoinedDrivesTest, TheAskingDriveIsSeenAsItIsNow) {
+  Drive a = DriveOver(0, 300, DatumAt({}, 10.0, 0.1));
+  const Drive b = DriveOver(0, 300, DatumAt({}, 10.0, 0.1));
+  const auto joined = Join({&a, &b});
+  EXPECT_EQ(joined->view(0).graph.size(), a.graph().size());
+  const NodeIndex before = a.graph().size();
+  RecordingStart after;
+  after.covariance = UsualGap();
+  a.Append(
+      RecordingOf(Part(300, 400), std::make_shared<const RecordingStart>(after),
+                  a.last_sequence()),
+      2);
+  EXPECT_EQ(joined->view(0).graph.size(), before);
+  const SeenFrames seen = SeenBy(*joined, a, 0);
+  const std::vector<FrameRelation> ties = seen.relations.From(seen.own + 1);
+  EXPECT_EQ(ties[seen.own].state, FrameState::kAfter);
+  EXPECT_EQ(ties[*joined->FrameOf(1, a.frame_nodes())].state,
+            FrameState::kAfter);
+  // Its view is not seen beside it.
+  EXPECT_EQ(ties[*joined->FrameOf(0, a.frame_nodes())].state,
+            FrameState::kNone);
+}
+
+TEST(JoinedDrivesTest, AMembersDatumPlacesItsFirstRecording) {
+  const Drive a = DriveOver(0, 300, nullptr);
+  const Drive b = DriveOver(0, 300, DatumAt({9.0, 9.0, 0.0, 0.0}, 1.0, 0.1));
+  const auto place_a = DatumAt({3.0, 0.0, 0.0, 0.0}, 10.0, 0.1);
+  const auto place_b = DatumAt({1.0, 0.0, 0.0, 0.0}, 10.0, 0.1);
+  const JoinedDrives joined({{a.View(1.0), place_a}, {b.View(1.0), place_b}},
+                            {});
+  const FrameRelation tied = RelationTo(joined, a, 0, 1);
+  EXPECT_EQ(tied.state, FrameState::kDatum);
+  EXPECT_NEAR(tied.transform.x, -2.0, 1e-9);
+  EXPECT_NEAR(tied.transform.y, 0.0, 1e-9);
+}
+
+TEST(JoinedDrivesTest, DrivesOfAnotherKindOrWithoutNodesAreNotTied) {
+  DriveSettings spatial;
+  spatial.state_space = StateSpace::kSpatial;
+  DriveSettings fixes;
+  fixes.search.correlation_model = CorrelationModel::kIndependent;
+  const auto datum = DatumAt({}, 1.0, 0.1, "site");
+  const Drive a = DriveOver(0, 100, datum);
+  const Drive b = DriveOver(0, 100, datum, spatial);
+  const Drive c = DriveOver(0, 100, datum, fixes);
+  const Drive none(DriveSettings{});
+  const auto joined = Join({&a, &b, &c, &none}, {{0, 1, {3, 3, nullptr}},
+                                                 {2, 0, {3, 3, nullptr}},
+                                                 {0, 3, {3, 0, nullptr}}});
+  for (std::size_t d = 1; d < 4; ++d) {
+    EXPECT_FALSE(joined->FrameOf(d, a.frame_nodes()).has_value()) << d;
+  }
+  EXPECT_TRUE(joined->FrameOf(1, b.frame_nodes()).has_value());
+  const SeenFrames seen = SeenBy(*joined, a, 0);
+  EXPECT_EQ(seen.relations.From(seen.own)[seen.own].state, FrameState::kSame);
+}
+
+}  // namespace
+}  // namespace revisit::core
