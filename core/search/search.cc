@@ -28,6 +28,8 @@
 #include "core/search/candidates/mark_search.h"
 #include "core/search/candidates/relative_search.h"
 #include "core/search/candidates/search_task.h"
+#include "core/search/other_drives.h"
+#include "core/search/search_scope.h"
 
 namespace revisit::core {
 namespace {
@@ -87,17 +89,20 @@ class Search::Impl {
  public:
   explicit Impl(const Drive* drive) : drive_(*drive) {}
 
+  // `others`: the other drives that are searched, or null.
   absl::StatusOr<CandidateSet> At(NodeIndex query, const SearchOptions& options,
+                                  const OtherDrives* others,
                                   const ShouldStop& should_stop);
   absl::StatusOr<CandidateSet> AtEnd(const SearchOptions& options,
                                      const ShouldStop& should_stop);
-  std::int64_t ComparisonsAt(NodeIndex query,
-                             const SearchOptions& options) const;
+  std::int64_t ComparisonsAt(NodeIndex query, const SearchOptions& options,
+                             const OtherDrives* others) const;
   std::optional<MissingMark> FindMissingMark(NodeIndex query,
                                              const SearchOptions& options);
   absl::Status LearnMark(const MissingMark& missing,
                          const ShouldStop& should_stop);
   std::size_t mark_count() const { return marks_.size(); }
+  const DriveSettings& settings() const { return drive_.settings(); }
 
  private:
   // The nodes that are compared at a query.
@@ -105,7 +110,7 @@ class Search::Impl {
     // Why there is nothing to compare.
     std::optional<EmptyReason> empty;
     // Nodes of the path that is aligned with the history, and with other
-    // recordings.
+    // recordings, if any are compared.
     std::int64_t aligned = 0;
     std::int64_t aligned_across = 0;
     // The query's recording, and its nodes that are compared.
@@ -113,6 +118,8 @@ class Search::Impl {
     NodeRange own;
     // Whether the recordings before it are compared too.
     bool across = false;
+    // Nodes of other drives that are.
+    NodeIndex others = 0;
     std::int64_t comparisons = 0;
   };
   // The marks that show something at a query.
@@ -122,21 +129,25 @@ class Search::Impl {
     std::int64_t last;
   };
 
-  Extent ExtentOf(NodeIndex query, const SearchOptions& options) const;
+  Extent ExtentOf(NodeIndex query, const SearchOptions& options,
+                  const OtherDrives* others = nullptr) const;
   // The same of a search, which may also be refused.
-  Extent ExtentOfSearch(NodeIndex query, const SearchOptions& options) const;
+  Extent ExtentOfSearch(NodeIndex query, const SearchOptions& options,
+                        const OtherDrives* others = nullptr) const;
   // REQUIRES: the query's segment has as many nodes as the sequence up to the
   // query.
   std::int64_t AlignedNodes(NodeIndex query, std::int64_t sequence_nodes,
                             const SearchOptions& options) const;
   std::int64_t AlignedAcross(NodeIndex query, std::int64_t aligned_nodes) const;
   Query QueryAt(NodeIndex node, std::int64_t aligned) const;
+  void SeeOthers(const OtherDrives& others, SearchTask* task) const;
   // The past of the query's own recording, as far as it is compared with a
-  // query of this extent.
-  History PastOf(const Extent& extent, std::vector<NodeRange> not_sought) const;
-  // Fills in the histories of a task of this extent. `belief`: what marks have
-  // shown, or null.
-  void AddHistories(const Extent& extent,
+  // query of this extent. `frame`: that of the recording.
+  History PastOf(const Extent& extent, std::vector<NodeRange> not_sought,
+                 std::size_t frame) const;
+  // Fills in the histories of a task of this extent, with its frames. `belief`:
+  // what marks have shown, or null.
+  void AddHistories(const Extent& extent, const OtherDrives* others,
                     const std::vector<NodeRange>& not_sought,
                     const DriveBelief* belief, SearchTask* task);
   // In which blocks of a recording errors grow to or from this node.
@@ -174,6 +185,7 @@ class Search::Impl {
   // BlocksGrowing() of recordings that are over, whose nodes stay as they are,
   // by recording and reference.
   std::map<std::pair<std::size_t, NodeIndex>, std::vector<char>> growing_;
+  GrowthOfOthers growth_of_others_;
 };
 
 Search::Search(const Drive* drive) : impl_(std::make_unique<Impl>(drive)) {}
@@ -183,7 +195,15 @@ Search::~Search() = default;
 absl::StatusOr<CandidateSet> Search::At(NodeIndex query,
                                         const SearchOptions& options,
                                         const ShouldStop& should_stop) {
-  return impl_->At(query, options, should_stop);
+  return impl_->At(query, options, nullptr, should_stop);
+}
+
+absl::StatusOr<CandidateSet> Search::At(NodeIndex query,
+                                        const SearchOptions& options,
+                                        const SearchScope& scope,
+                                        const ShouldStop& should_stop) {
+  const OtherDrives others(impl_->settings(), options, scope);
+  return impl_->At(query, options, &others, should_stop);
 }
 
 absl::StatusOr<CandidateSet> Search::AtEnd(const SearchOptions& options,
@@ -193,7 +213,14 @@ absl::StatusOr<CandidateSet> Search::AtEnd(const SearchOptions& options,
 
 std::int64_t Search::ComparisonsAt(NodeIndex query,
                                    const SearchOptions& options) const {
-  return impl_->ComparisonsAt(query, options);
+  return impl_->ComparisonsAt(query, options, nullptr);
+}
+
+std::int64_t Search::ComparisonsAt(NodeIndex query,
+                                   const SearchOptions& options,
+                                   const SearchScope& scope) const {
+  const OtherDrives others(impl_->settings(), options, scope);
+  return impl_->ComparisonsAt(query, options, &others);
 }
 
 std::optional<Search::MissingMark> Search::FindMissingMark(
@@ -216,17 +243,19 @@ absl::StatusOr<CandidateSet> Search::Impl::AtEnd(
     empty.empty_reason = EmptyReason::kPathTooShort;
     return empty;
   }
-  return At(size - 1, options, should_stop);
+  return At(size - 1, options, nullptr, should_stop);
 }
 
 absl::StatusOr<CandidateSet> Search::Impl::At(NodeIndex query,
                                               const SearchOptions& options,
+                                              const OtherDrives* others,
                                               const ShouldStop& should_stop) {
   assert(query >= 0 && query < drive_.graph().size());
   assert(FindProblems(options, drive_.settings()).empty());
   CandidateSet set;
   set.query = query;
-  const Extent extent = ExtentOfSearch(query, options);
+  if (others != nullptr) set.unsearched = others->unsearched();
+  const Extent extent = ExtentOfSearch(query, options, others);
   set.comparisons = extent.comparisons;
   if (extent.empty) {
     set.empty_reason = *extent.empty;
@@ -237,25 +266,29 @@ absl::StatusOr<CandidateSet> Search::Impl::At(NodeIndex query,
   if (growing_.size() > kMostGrowingKept) growing_.clear();
   SearchTask task =
       MakeTask(query, extent, options, *std::move(prior), should_stop);
-  if (extent.across) {
+  if (extent.others > 0) {
+    SeeOthers(*others, &task);
+  } else if (extent.across) {
     task.frames =
         std::make_shared<const FrameRelations>(drive_.RelationsAt(query));
   }
-  AddHistories(extent,
+  AddHistories(extent, others,
                drive_.NotSought(query, options.candidate_separation_meters),
                task.prior.belief ? &*task.prior.belief : nullptr, &task);
   std::vector<AlignmentParts> parts(task.histories.size());
   task.parts = &parts;
   const absl::Status status = FindCandidates(task, &set);
   if (!status.ok()) return status;
-  if (task.prior.belief && AlignsAsMarks(options)) {
+  // The path of a search of other drives is weighed by their roads too.
+  if (extent.others == 0 && task.prior.belief && AlignsAsMarks(options)) {
     RememberIfMark(query, task.histories, should_stop, &parts);
   }
   return set;
 }
 
-Search::Impl::Extent Search::Impl::ExtentOf(
-    NodeIndex query, const SearchOptions& options) const {
+Search::Impl::Extent Search::Impl::ExtentOf(NodeIndex query,
+                                            const SearchOptions& options,
+                                            const OtherDrives* others) const {
   Extent extent;
   const std::int64_t steps = SequenceNodes(
       options.sequence_length_meters, drive_.settings().node_spacing_meters);
@@ -269,16 +302,25 @@ Search::Impl::Extent Search::Impl::ExtentOf(
   extent.own = {recordings[extent.recording].first_node, query - steps + 1};
   extent.across =
       extent.own.first > 0 && options.alignment == AlignmentKind::kRelative;
+  if (others != nullptr) {
+    extent.others = others->size();
+    if (others->scope().exclude_own) {
+      extent.own.first = extent.own.last;
+      extent.across = false;
+    }
+  }
   const NodeIndex own_size = extent.own.last - extent.own.first;
-  if (own_size == 0 && !extent.across) {
+  if (own_size == 0 && !extent.across && extent.others == 0) {
     extent.empty = EmptyReason::kNoHistory;
     return extent;
   }
   extent.aligned = AlignedNodes(query, steps, options);
   extent.comparisons = extent.aligned * own_size;
-  if (extent.across) {
+  if (extent.across || extent.others > 0) {
     extent.aligned_across = AlignedAcross(query, extent.aligned);
-    extent.comparisons += extent.aligned_across * extent.own.first;
+    extent.comparisons +=
+        extent.aligned_across *
+        ((extent.across ? extent.own.first : 0) + extent.others);
   }
   extent.comparisons *=
       static_cast<std::int64_t>(Directions(options.direction).size());
@@ -286,10 +328,11 @@ Search::Impl::Extent Search::Impl::ExtentOf(
 }
 
 Search::Impl::Extent Search::Impl::ExtentOfSearch(
-    NodeIndex query, const SearchOptions& options) const {
-  Extent extent = ExtentOf(query, options);
+    NodeIndex query, const SearchOptions& options,
+    const OtherDrives* others) const {
+  Extent extent = ExtentOf(query, options, others);
   if (extent.empty) return extent;
-  if (!extent.across &&
+  if (!extent.across && extent.others == 0 &&
       drive_.graph().node(query).travelled_meters -
               drive_.graph().node(extent.own.first).travelled_meters <
           options.candidate_separation_meters) {
@@ -308,8 +351,9 @@ Search::Impl::MarksBefore Search::Impl::FindMarksBefore(NodeIndex query) const {
 }
 
 std::int64_t Search::Impl::ComparisonsAt(NodeIndex query,
-                                         const SearchOptions& options) const {
-  const Extent extent = ExtentOfSearch(query, options);
+                                         const SearchOptions& options,
+                                         const OtherDrives* others) const {
+  const Extent extent = ExtentOfSearch(query, options, others);
   return extent.empty ? 0 : extent.comparisons;
 }
 
@@ -449,7 +493,7 @@ absl::StatusOr<MarkEvidence> Search::Impl::EvidenceAt(
     task.frames = std::make_shared<const FrameRelations>(
         drive_.RelationsWithoutLoops(node));
   }
-  AddHistories(extent,
+  AddHistories(extent, nullptr,
                {Common(near, {extent.own.first, drive_.graph().size()})},
                nullptr, &task);
   task.parts = parts;
@@ -460,49 +504,71 @@ SearchTask Search::Impl::MakeTask(NodeIndex query, const Extent& extent,
                                   const SearchOptions& options,
                                   SearchPrior prior,
                                   const ShouldStop& should_stop) const {
-  return {
-      QueryAt(query, extent.aligned),
-      QueryAt(query, extent.across ? extent.aligned_across : extent.aligned),
-      {},
-      extent.recording,
-      nullptr,
-      options,
-      drive_.settings().node_spacing_meters,
-      std::move(prior),
-      should_stop};
+  return {QueryAt(query, extent.aligned),
+          QueryAt(query, extent.aligned_across > 0 ? extent.aligned_across
+                                                   : extent.aligned),
+          {},
+          extent.recording,
+          nullptr,
+          options,
+          drive_.settings().node_spacing_meters,
+          std::move(prior),
+          should_stop};
 }
 
 Query Search::Impl::QueryAt(NodeIndex node, std::int64_t aligned) const {
   return {drive_.graph(), node, aligned, &drive_.motion_history()};
 }
 
+// Lets a task see the frames of other drives, and its query their motion.
+void Search::Impl::SeeOthers(const OtherDrives& others,
+                             SearchTask* task) const {
+  const SearchScope& scope = others.scope();
+  const NodeIndex query = task->query.node;
+  SeenFrames seen =
+      scope.drives->SeenFrom(drive_.frame_nodes(), drive_.recordings(), query,
+                             drive_.LoopsAt(query), scope.asking);
+  task->frames =
+      std::make_shared<const FrameRelations>(std::move(seen.relations));
+  task->first_frame = seen.own;
+  task->query.others = &others.motion();
+  task->across.others = &others.motion();
+}
+
 History Search::Impl::PastOf(const Extent& extent,
-                             std::vector<NodeRange> not_sought) const {
+                             std::vector<NodeRange> not_sought,
+                             std::size_t frame) const {
   return {drive_.graph(),         extent.own.last,
           std::move(not_sought),  &drive_.motion_history().heading_bins(),
           &drive_.block_bounds(), Relation(),
-          extent.own.first,       extent.recording};
+          extent.own.first,       frame};
 }
 
-void Search::Impl::AddHistories(const Extent& extent,
+void Search::Impl::AddHistories(const Extent& extent, const OtherDrives* others,
                                 const std::vector<NodeRange>& not_sought,
                                 const DriveBelief* belief, SearchTask* task) {
+  const std::size_t asking = task->first_frame + extent.recording;
   if (extent.own.last > extent.own.first) {
-    task->histories.push_back(PastOf(extent, not_sought));
+    task->histories.push_back(PastOf(extent, not_sought, asking));
   }
-  if (!extent.across) return;
-  const std::vector<FrameRelation> ties = task->frames->From(extent.recording);
-  for (std::size_t k = 0; k < extent.recording; ++k) {
+  if (task->frames == nullptr) return;
+  const std::vector<FrameRelation> ties = task->frames->From(asking);
+  for (std::size_t k = 0; extent.across && k < extent.recording; ++k) {
+    const std::size_t frame = task->first_frame + k;
     const NodeRange nodes =
         drive_.recordings().NodesOf(k, drive_.graph().size());
     Relation relation(
-        task->frames->Between(extent.recording, k), ties[k],
+        task->frames->Between(asking, frame), ties[frame],
         belief == nullptr ? std::vector<WeighedDrift>() : belief->drifts(k));
     task->histories.push_back({drive_.graph(), nodes.last, not_sought,
                                &drive_.motion_history().heading_bins(),
                                &drive_.block_bounds(), std::move(relation),
-                               nodes.first, k,
-                               GrowingBlocks(k, ties[k].other_node)});
+                               nodes.first, frame,
+                               GrowingBlocks(k, ties[frame].other_node)});
+  }
+  if (extent.others > 0) {
+    others->AddHistories(*task->frames, ties, asking, drive_.frame_nodes(),
+                         &growth_of_others_, &task->histories);
   }
 }
 

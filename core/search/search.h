@@ -23,6 +23,7 @@
 namespace revisit::core {
 
 class Drive;
+struct SearchScope;
 
 class Search {
  public:
@@ -46,7 +47,15 @@ class Search {
   // REQUIRES: query in the graph; FindProblems(options, settings()) is empty.
   absl::StatusOr<CandidateSet> At(NodeIndex query, const SearchOptions& options,
                                   const ShouldStop& should_stop);
-  // The same at the newest node; kPathTooShort if the graph is empty.
+  // The same in a scope: in the histories of all drives there, and the drive's
+  // own unless that is excluded, against one new place. The answer depends on
+  // what the scope holds too. What the drive has shown of its scale and its
+  // drift (belief/mark.h) does not. REQUIRES: as for At().
+  absl::StatusOr<CandidateSet> At(NodeIndex query, const SearchOptions& options,
+                                  const SearchScope& scope,
+                                  const ShouldStop& should_stop);
+  // The same as without a scope at the newest node; kPathTooShort if the graph
+  // is empty.
   absl::StatusOr<CandidateSet> AtEnd(const SearchOptions& options,
                                      const ShouldStop& should_stop);
 
@@ -55,6 +64,9 @@ class Search {
   // At().
   std::int64_t ComparisonsAt(NodeIndex query,
                              const SearchOptions& options) const;
+  // The same in a scope.
+  std::int64_t ComparisonsAt(NodeIndex query, const SearchOptions& options,
+                             const SearchScope& scope) const;
   // The first mark that is missing for this search, if any. Whoever has all of
   // them learned first can do other work between them; At() learns those that
   // are still missing itself, without counting them, and answers the same.

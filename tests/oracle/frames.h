@@ -1,7 +1,7 @@
-// Poses of two recordings, compared in long double by the definitions at the
-// top of core/drive/frame_relation.h, in the axes of the asking frame: every
-// lever arm is one from place to place there, and errors since a reference are
-// those of a chain that begins at it.
+// Poses of two recordings, of one drive or of two, compared in long double by
+// the definitions at the top of core/drive/frame_relation.h, in the axes of the
+// asking frame: every lever arm is one from place to place there, and errors
+// since a reference are those of a chain that begins at it.
 #ifndef REVISIT_TESTS_ORACLE_FRAMES_H_
 #define REVISIT_TESTS_ORACLE_FRAMES_H_
 
@@ -74,8 +74,17 @@ struct WideTie {
 
 class WideFrames {
  public:
+  // Both frames are of one drive.
   WideFrames(const core::PoseGraph& graph, bool have_references, int d)
-      : graph_(graph), have_references_(have_references), d_(d) {}
+      : WideFrames(graph, graph, std::nullopt, have_references, d) {}
+  // They are of two, of which the other one has a known scale.
+  WideFrames(const core::PoseGraph& asking, const core::PoseGraph& other,
+             std::optional<Wide> other_scale, bool have_references, int d)
+      : asking_(asking),
+        other_(other),
+        other_scale_(other_scale),
+        have_references_(have_references),
+        d_(d) {}
 
   WideTie TieOf(const core::FrameRelation& relation, Wide drift_scale,
                 Wide fixed_scale) const {
@@ -100,8 +109,8 @@ class WideFrames {
   // x_q - T x_j.
   WideVector Difference(const WideTie& tie, core::NodeIndex q,
                         core::NodeIndex j) const {
-    WideVector d =
-        StateOf(PoseAt(q), d_) - StateOf(Placed(tie.frame, PoseAt(j)), d_);
+    WideVector d = StateOf(PoseAt(asking_, q), d_) -
+                   StateOf(Placed(tie.frame, PoseAt(other_, j)), d_);
     d(d_ - 1) = NearestTo(0.0L, d(d_ - 1));
     return d;
   }
@@ -109,14 +118,15 @@ class WideFrames {
   // Gamma.
   WideMatrix Gamma(const WideTie& tie, core::NodeIndex q, core::NodeIndex j,
                    Wide drift_scale) const {
-    const WidePose at = Placed(tie.frame, PoseAt(j));
+    const WidePose at = Placed(tie.frame, PoseAt(other_, j));
     const WidePose known = Placed(tie.frame, tie.place);
     const WideMatrix lever = WideLever(at.x - known.x, at.y - known.y, d_);
     const WideMatrix turn = WideTurn(tie.frame.heading, d_);
+    const Wide other_scale = other_scale_.value_or(drift_scale);
     return lever * tie.covariance * lever.transpose() +
-           drift_scale * drift_scale *
-               (ErrorSince(tie.asking_node, q) +
-                turn * ErrorSince(tie.other_node, j) * turn.transpose());
+           drift_scale * drift_scale * ErrorSince(asking_, tie.asking_node, q) +
+           other_scale * other_scale * turn *
+               ErrorSince(other_, tie.other_node, j) * turn.transpose();
   }
 
   // The tie once it is known that nodes c and m, in either direction, are at
@@ -126,27 +136,28 @@ class WideFrames {
   WideTie KnownBy(const std::optional<WideTie>& tie, bool by_closures,
                   core::NodeIndex c, core::NodeIndex m, Wide drift_scale,
                   const WideMatrix& tolerance) const {
-    WidePose seen = PoseAt(c);
+    WidePose seen = PoseAt(asking_, c);
     WideTie alone;
-    alone.place = PoseAt(m);
+    alone.place = PoseAt(other_, m);
     if (have_references_) {
       alone.asking_node = c;
       alone.other_node = m;
     }
     const auto own = [&](const WidePose& frame) {
       const WideMatrix turn = WideTurn(frame.heading, d_);
+      const Wide other_scale = other_scale_.value_or(drift_scale);
       return WideMatrix(
-          drift_scale * drift_scale *
-          (ErrorSince(std::nullopt, c) +
-           turn * ErrorSince(std::nullopt, m) * turn.transpose()));
+          drift_scale * drift_scale * ErrorSince(asking_, std::nullopt, c) +
+          other_scale * other_scale * turn *
+              ErrorSince(other_, std::nullopt, m) * turn.transpose());
     };
     if (!tie) {
-      alone.frame = FrameWith(seen, PoseAt(m));
+      alone.frame = FrameWith(seen, PoseAt(other_, m));
       alone.covariance = tolerance;
       if (!have_references_) alone.covariance += own(alone.frame);
       return alone;
     }
-    const WidePose placed = Placed(tie->frame, PoseAt(m));
+    const WidePose placed = Placed(tie->frame, PoseAt(other_, m));
     const Wide sure = tie->covariance(d_ - 1, d_ - 1);
     const Wide turned = NearestTo(0.0L, seen.heading - placed.heading);
     if (sure < 0.64L && std::abs(turned) > 0.5L * kWidePi) {
@@ -166,7 +177,7 @@ class WideFrames {
     const auto form = EvaluateWide(prior + noise, y);
     if (!form || form->squared > core::ChiSquaredQuantile(d_, 0.99)) {
       if (by_closures) return *tie;
-      alone.frame = FrameWith(seen, PoseAt(m));
+      alone.frame = FrameWith(seen, PoseAt(other_, m));
       alone.covariance = tolerance;
       if (!have_references_) alone.covariance += own(alone.frame);
       return alone;
@@ -183,10 +194,10 @@ class WideFrames {
     std::optional<WideTie> shown;
     for (const core::ConfirmedLoop& pair : pairs) {
       WideTie tie;
-      tie.place = PoseAt(pair.matched);
+      tie.place = PoseAt(asking_, pair.matched);
       tie.asking_node = pair.query;
       tie.other_node = pair.matched;
-      WidePose seen = PoseAt(pair.query);
+      WidePose seen = PoseAt(asking_, pair.query);
       const Wide turned = NearestTo(0.0L, seen.heading - tie.place.heading);
       if (std::abs(turned) > 0.5L * kWidePi) seen.heading += kWidePi;
       const auto update = [&](const WidePose& placed, const WideMatrix& prior,
@@ -204,7 +215,7 @@ class WideFrames {
         shown = tie;
       } else if (update(tie.place,
                         drift_scale * drift_scale *
-                            ErrorSince(pair.query, pair.matched),
+                            ErrorSince(asking_, pair.query, pair.matched),
                         std::numeric_limits<Wide>::infinity())) {
         shown = tie;
       }
@@ -220,23 +231,23 @@ class WideFrames {
                                            Wide drift_scale) const {
     const core::NodeIndex c = *shown.asking_node;
     const core::NodeIndex m = *shown.other_node;
-    const WidePose at_j = PoseAt(j);
-    const WidePose at_c = PoseAt(c);
+    const WidePose at_j = PoseAt(asking_, j);
+    const WidePose at_c = PoseAt(asking_, c);
     const WideMatrix turn = WideTurn(shown.frame.heading, d_);
     const Wide claimed = drift_scale * drift_scale;
     // Cov(u_j, u_c), whichever is later.
     const WideMatrix mixed =
         j <= c
             ? WideMatrix(
-                  claimed * ErrorSince(m, j) *
+                  claimed * ErrorSince(asking_, m, j) *
                   WideLever(at_c.x - at_j.x, at_c.y - at_j.y, d_).transpose())
             : WideMatrix(claimed *
                          WideLever(at_j.x - at_c.x, at_j.y - at_c.y, d_) *
-                         ErrorSince(m, c));
-    const WidePose at_m = PoseAt(m);
+                         ErrorSince(asking_, m, c));
+    const WidePose at_m = PoseAt(asking_, m);
     const WideMatrix lever = WideLever(at_c.x - at_m.x, at_c.y - at_m.y, d_);
     const WideMatrix known =
-        claimed * ErrorSince(m, c) +
+        claimed * ErrorSince(asking_, m, c) +
         lever * turn.transpose() * shown.covariance * turn * lever.transpose();
     const WidePose origin;
     const WidePose true_c = Placed(FrameWith(origin, shown.frame), at_c);
@@ -264,35 +275,40 @@ class WideFrames {
     tie->covariance = both;
   }
 
-  WidePose PoseAt(core::NodeIndex i) const {
-    WidePose pose = WidePoseOf(graph_.node(i).pose);
+  WidePose PoseAt(const core::PoseGraph& graph, core::NodeIndex i) const {
+    WidePose pose = WidePoseOf(graph.node(i).pose);
     if (d_ == 3) pose.z = 0.0L;
     return pose;
   }
 
-  WideMatrix CovarianceAt(core::NodeIndex i) const {
-    return WideCovarianceOf(graph_.node(i).covariance, d_);
+  WideMatrix CovarianceAt(const core::PoseGraph& graph,
+                          core::NodeIndex i) const {
+    return WideCovarianceOf(graph.node(i).covariance, d_);
   }
 
   // The covariance of node i's error, given that there is none at the
   // reference; all of it where there is none.
-  WideMatrix ErrorSince(const std::optional<core::NodeIndex>& reference,
+  WideMatrix ErrorSince(const core::PoseGraph& graph,
+                        const std::optional<core::NodeIndex>& reference,
                         core::NodeIndex i) const {
-    if (!reference) return CovarianceAt(i);
+    if (!reference) return CovarianceAt(graph, i);
     const core::NodeIndex earlier = std::min(*reference, i);
     const core::NodeIndex later = std::max(*reference, i);
-    const WidePose from = PoseAt(earlier);
-    const WidePose to = PoseAt(later);
+    const WidePose from = PoseAt(graph, earlier);
+    const WidePose to = PoseAt(graph, later);
     // e_later = Psi e_earlier + what is added.
     const WideMatrix psi = WideLever(to.x - from.x, to.y - from.y, d_);
     const WideMatrix added =
-        CovarianceAt(later) - psi * CovarianceAt(earlier) * psi.transpose();
+        CovarianceAt(graph, later) -
+        psi * CovarianceAt(graph, earlier) * psi.transpose();
     if (i == later) return added;
     const WideMatrix back = psi.inverse();
     return back * added * back.transpose();
   }
 
-  const core::PoseGraph& graph_;
+  const core::PoseGraph& asking_;
+  const core::PoseGraph& other_;
+  const std::optional<Wide> other_scale_;
   const bool have_references_;
   const int d_;
 };

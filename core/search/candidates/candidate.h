@@ -26,6 +26,9 @@ struct Candidate {
   // node, less a constant. Relative: log-odds of the matched node against all
   // places not seen before.
   double score = 0.0;
+  // The drive of the scope in which the matched node lies; nothing for the one
+  // that asks.
+  std::optional<std::size_t> drive = std::nullopt;
   // The matched node, and how its frame is tied to that of the query.
   NodeIndex matched = 0;
   FrameState frame_state = FrameState::kSame;
@@ -64,6 +67,24 @@ enum class EmptyReason {
   kTooMuchWork,
 };
 
+// Why a drive of the scope is not searched. Reasons are numbered from 0 without
+// gaps.
+enum class UnsearchedReason {
+  // It has another one than the drive that asks; nor are other drives searched
+  // with another noise model than the drive's own.
+  kStateSpace,
+  kNoiseModel,
+  kNodeSpacing,
+  // Composite alignments know no frame but their own.
+  kAlignment,
+};
+
+struct UnsearchedDrive {
+  // Its index in the scope.
+  std::size_t drive = 0;
+  UnsearchedReason reason = UnsearchedReason::kStateSpace;
+};
+
 struct CandidateSet {
   // The node that was asked about; nothing if the graph is empty.
   std::optional<NodeIndex> query;
@@ -78,6 +99,8 @@ struct CandidateSet {
   NodeIndex nodes_pruned = 0;
   // The number that SearchOptions::max_comparisons bounds.
   std::int64_t comparisons = 0;
+  // The drives of the scope that were not searched, in their order.
+  std::vector<UnsearchedDrive> unsearched;
   // For relative alignments only: posterior probability that the query is at no
   // place of any history.
   std::optional<double> new_place_probability;

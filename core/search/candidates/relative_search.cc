@@ -169,6 +169,7 @@ class RelativeSearch {
     similarity.inflation *= MatchOf(place).scale;
     Candidate candidate;
     candidate.score = place.end.score;
+    candidate.drive = HistoryOf(place).drive;
     candidate.matched = place.end.matched;
     const Relation& relation = HistoryOf(place).relation;
     if (!relation.is_own()) candidate.frame_state = relation.state();

@@ -41,15 +41,15 @@ struct SearchTask {
 
   // The query's path is sought in all of the histories, which may hold the
   // first of its nodes too, that of its own recording first, if it has nodes.
-  // In other recordings more has to be shown by the shape: there a longer path
-  // is sought. What they refer to must outlive the search.
+  // In other recordings, and other drives, more has to be shown by the shape:
+  // there a longer path is sought. What they refer to must outlive the search.
   Query query;
   Query across;
   std::vector<History> histories;
   // The query's recording.
   std::size_t recording = 0;
-  // How the frames of the recordings lie to each other; null where all is one
-  // recording.
+  // How the frames of the histories lie to each other; null where all are of
+  // one recording.
   std::shared_ptr<const FrameRelations> frames;
   const SearchOptions& options;
   double node_spacing_meters = 0.0;
@@ -58,6 +58,8 @@ struct SearchTask {
   // The parts of alignments of the same query with each of the histories, with
   // the same options, or null.
   std::vector<AlignmentParts>* parts = nullptr;
+  // The frame of the first recording of the query's drive.
+  std::size_t first_frame = 0;
 
   // The query as it is sought in a history.
   const Query& QueryIn(const History& history) const {

@@ -1,0 +1,80 @@
+// The other drives of a scope as one search sees them.
+//
+// Thread-compatible: const calls may run at the same time.
+#ifndef REVISIT_CORE_SEARCH_OTHER_DRIVES_H_
+#define REVISIT_CORE_SEARCH_OTHER_DRIVES_H_
+
+#include <cstddef>
+#include <map>
+#include <memory>
+#include <optional>
+#include <tuple>
+#include <vector>
+
+#include "core/drive/drive_view.h"
+#include "core/drive/frame_relation.h"
+#include "core/drive/frame_relations.h"
+#include "core/drive/node_index.h"
+#include "core/search/alignment/history.h"
+#include "core/search/alignment/query.h"
+#include "core/search/candidates/candidate.h"
+#include "core/search/search_scope.h"
+#include "core/settings.h"
+
+namespace revisit::core {
+
+// In which blocks of other drives' recordings errors grow to or from a node, by
+// view, recording and node; kept from search to search. Not thread-safe.
+class GrowthOfOthers {
+ public:
+  // Forgets views that the joined drives do not have.
+  void Enter(const std::shared_ptr<const JoinedDrives>& drives);
+  // REQUIRES: the view is one of those joined; the node lies in the recording.
+  const std::vector<char>& Of(const DriveView& view, std::size_t recording,
+                              NodeIndex reference);
+
+ private:
+  // Keeps the views, and so their addresses.
+  std::shared_ptr<const JoinedDrives> drives_;
+  std::map<std::tuple<const DriveView*, std::size_t, NodeIndex>,
+           std::vector<char>>
+      growing_;
+};
+
+class OtherDrives {
+ public:
+  // For a search of the drive with these settings and options. The scope must
+  // outlive this.
+  OtherDrives(const DriveSettings& settings, const SearchOptions& options,
+              const SearchScope& scope);
+
+  const SearchScope& scope() const { return scope_; }
+  // The drives that are not searched, and why.
+  const std::vector<UnsearchedDrive>& unsearched() const { return unsearched_; }
+  // Nodes that are searched.
+  NodeIndex size() const;
+  // The motion of the drives that are searched.
+  const std::vector<DrivenMotion>& motion() const { return motion_; }
+
+  // Adds the histories of the drives that are searched. `asking`: the frame of
+  // the query's recording among those seen, `nodes` those of its drive.
+  void AddHistories(const FrameRelations& frames,
+                    const std::vector<FrameRelation>& ties, std::size_t asking,
+                    const FrameNodes& nodes, GrowthOfOthers* growth,
+                    std::vector<History>* histories) const;
+
+ private:
+  std::optional<UnsearchedReason> WhyNot(std::size_t drive,
+                                         const DriveSettings& settings,
+                                         const SearchOptions& options) const;
+
+  const SearchScope& scope_;
+  // Indexes of the drives that are searched.
+  std::vector<std::size_t> searched_;
+  std::vector<UnsearchedDrive> unsearched_;
+  std::vector<DrivenMotion> motion_;
+};
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_SEARCH_OTHER_DRIVES_H_

@@ -1,0 +1,25 @@
+// Where else a search looks: in the drives of other vehicles.
+#ifndef REVISIT_CORE_SEARCH_SEARCH_SCOPE_H_
+#define REVISIT_CORE_SEARCH_SEARCH_SCOPE_H_
+
+#include <cstddef>
+#include <memory>
+#include <optional>
+
+#include "core/drive/joined_drives.h"
+
+namespace revisit::core {
+
+struct SearchScope {
+  // Not null. All are searched but the one that asks, and those that cannot be
+  // compared with it (UnsearchedDrive).
+  std::shared_ptr<const JoinedDrives> drives;
+  // Which of them asks; nothing where it is none of them, and so without links.
+  std::optional<std::size_t> asking = std::nullopt;
+  // Whether the asking drive's own history is left out.
+  bool exclude_own = false;
+};
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_SEARCH_SEARCH_SCOPE_H_

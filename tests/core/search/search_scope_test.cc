@@ -1,0 +1,400 @@
+// Searches over the drives of several vehicles.
+#include "core/search/search_scope.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "core/drive/drive.h"
+#include "core/drive/joined_drives.h"
+#include "core/drive/pose_graph.h"
+#include "core/drive/recordings.h"
+#include "core/search/search.h"
+#include "core/settings.h"
+#include "tests/core/drive/drives.h"
+#include "tests/core/drive/scoped_drives.h"
+
+namespace revisit::core {
+namespace {
+
+using Datums = std::vector<std::shared_ptr<const RecordingStart>>;
+
+// The ring is driven on, a recording after the other, with some metres between
+// that nobody drove.
+std::vector<Pose> PartOfRing(const std::vector<int>& ends, std::size_t k) {
+  const std::vector<Pose> ring = Ring(static_cast<double>(ends.back()));
+  return {ring.begin() + (k == 0 ? 0 : ends[k - 1] + 20),
+          ring.begin() + ends[k]};
+}
+
+Datums ThreeDatums() {
+  return {DatumAt({10.0, 20.0, 0.0, 0.3}, 3.0, 0.02, "site"),
+          DatumAt({-30.0, 5.0, 0.0, -1.0}, 5.0, 0.03),
+          DatumAt({4.0, 7.0, 0.0, 2.0}, 3.0, 0.02, "site")};
+}
+
+// The same recordings as those of one drive, and as drives of their own.
+struct OneAndMany {
+  OneAndMany(const DriveSettings& settings, const std::vector<int>& ends,
+             const Datums& datums)
+      : one(settings) {
+    for (std::size_t k = 0; k < ends.size(); ++k) {
+      const std::vector<Pose> part = PartOfRing(ends, k);
+      first.push_back(one.graph().size());
+      one.Append(RecordingOf(part, datums[k], one.last_sequence()), k + 1);
+      many.emplace_back(settings);
+      many.back().Append(RecordingOf(part, datums[k], 0), 1);
+    }
+  }
+
+  std::shared_ptr<const JoinedDrives> Joined(
+      std::vector<FrameLink> links = {}) const {
+    std::vector<const Drive*> drives;
+    for (const Drive& drive : many) drives.push_back(&drive);
+    return Join(drives, std::move(links));
+  }
+
+  Drive one;
+  std::vector<Drive> many;
+  // Of `one`, the first node of each recording.
+  std::vector<NodeIndex> first;
+};
+
+CandidateSet Answer(Search* search, NodeIndex query,
+                    const SearchOptions& options,
+                    const SearchScope* scope = nullptr) {
+  const auto set = scope == nullptr
+                       ? search->At(query, options, nullptr)
+                       : search->At(query, options, *scope, nullptr);
+  EXPECT_TRUE(set.ok());
+  return *set;
+}
+
+CandidateSet Answer(const Drive& drive, NodeIndex query,
+                    const SearchOptions& options,
+                    const SearchScope* scope = nullptr) {
+  Search search(&drive);
+  return Answer(&search, query, options, scope);
+}
+
+NodeIndex LastOf(const Drive& drive) { return drive.graph().size() - 1; }
+
+void ExpectSameBits(const CandidateSet& a, const CandidateSet& b) {
+  EXPECT_EQ(a.empty_reason, b.empty_reason);
+  EXPECT_EQ(a.nodes_considered, b.nodes_considered);
+  EXPECT_EQ(a.nodes_pruned, b.nodes_pruned);
+  EXPECT_EQ(a.comparisons, b.comparisons);
+  EXPECT_EQ(a.new_place_probability, b.new_place_probability);
+  ASSERT_EQ(a.candidates.size(), b.candidates.size());
+  for (std::size_t i = 0; i < a.candidates.size(); ++i) {
+    const Candidate& x = a.candidates[i];
+    const Candidate& y = b.candidates[i];
+    EXPECT_EQ(x.drive, y.drive);
+    EXPECT_EQ(x.matched, y.matched);
+    EXPECT_EQ(x.frame_state, y.frame_state);
+    EXPECT_EQ(x.verdict, y.verdict);
+    EXPECT_EQ(x.score, y.score);
+    EXPECT_EQ(x.relative->probability, y.relative->probability);
+    EXPECT_EQ(x.path, y.path);
+    ASSERT_EQ(x.difference.has_value(), y.difference.has_value());
+    if (!x.difference) continue;
+    EXPECT_EQ(x.difference->covariance.upper, y.difference->covariance.upper);
+    EXPECT_EQ(x.difference->gate.squared_mahalanobis,
+              y.difference->gate.squared_mahalanobis);
+  }
+}
+
+// Numbers differ in their last digits, since distances along the path count
+// from another beginning, and the motion of all is added up in another order.
+TEST(SearchScopeTest, DrivesAreSearchedAsTheRecordingsOfOneDriveAre) {
+  DriveSettings settings;
+  settings.search.use_belief = false;
+  settings.search.exhaustive = true;
+  for (const CorrelationModel model :
+       {CorrelationModel::kDeadReckoning, CorrelationModel::kIndependent}) {
+    settings.search.correlation_model = model;
+    const OneAndMany drives(settings, {1300, 2600, 4300}, ThreeDatums());
+    const SearchScope scope{drives.Joined(), 2};
+    for (NodeIndex query = 120; query < drives.many[2].graph().size();
+         query += 119) {
+      SCOPED_TRACE(query);
+      const CandidateSet one =
+          Answer(drives.one, drives.first[2] + query, settings.search);
+      const CandidateSet many =
+          Answer(drives.many[2], query, settings.search, &scope);
+      EXPECT_EQ(many.comparisons, one.comparisons);
+      EXPECT_EQ(many.nodes_considered, one.nodes_considered);
+      EXPECT_NEAR(*many.new_place_probability, *one.new_place_probability,
+                  1e-9);
+      ASSERT_EQ(many.candidates.size(), one.candidates.size());
+      ASSERT_FALSE(one.candidates.empty());
+      for (std::size_t i = 0; i < one.candidates.size(); ++i) {
+        const Candidate& x = one.candidates[i];
+        const Candidate& y = many.candidates[i];
+        EXPECT_EQ(x.matched, drives.first[y.drive.value_or(2)] + y.matched);
+        EXPECT_EQ(x.frame_state, y.frame_state);
+        EXPECT_EQ(x.verdict, y.verdict);
+        EXPECT_EQ(x.path.size(), y.path.size());
+        EXPECT_NEAR(x.score, y.score, 1e-9 * (1.0 + std::abs(x.score)));
+        EXPECT_NEAR(x.relative->probability, y.relative->probability, 1e-9);
+        ASSERT_EQ(x.difference.has_value(), y.difference.has_value());
+        EXPECT_NEAR(x.difference->gate.squared_mahalanobis,
+                    y.difference->gate.squared_mahalanobis,
+                    1e-9 * (1.0 + x.difference->gate.squared_mahalanobis));
+      }
+    }
+  }
+}
+
+// Blocks of nodes begin elsewhere, so other nodes are pruned and sampled.
+TEST(SearchScopeTest, PruningFindsWhatIsProbable) {
+  DriveSettings settings;
+  settings.search.use_belief = false;
+  const OneAndMany drives(settings, {1300, 2600, 4300}, ThreeDatums());
+  const SearchScope scope{drives.Joined(), 2};
+  SearchOptions exhaustive = settings.search;
+  exhaustive.exhaustive = true;
+  NodeIndex pruned = 0;
+  for (NodeIndex query = 120; query < drives.many[2].graph().size();
+       query += 61) {
+    const CandidateSet all = Answer(drives.many[2], query, exhaustive, &scope);
+    const CandidateSet some =
+        Answer(drives.many[2], query, settings.search, &scope);
+    pruned += some.nodes_pruned;
+    EXPECT_NEAR(*all.new_place_probability, *some.new_place_probability, 2e-6);
+    ASSERT_FALSE(some.candidates.empty());
+    EXPECT_EQ(all.candidates[0].matched, some.candidates[0].matched);
+    EXPECT_EQ(all.candidates[0].drive, some.candidates[0].drive);
+    EXPECT_NEAR(all.candidates[0].relative->probability,
+                some.candidates[0].relative->probability, 2e-6);
+  }
+  EXPECT_GT(pruned, 0);
+}
+
+TEST(SearchScopeTest, OneNewPlaceStandsAgainstAllHistories) {
+  const DriveSettings settings;
+  const OneAndMany drives(settings, {1300, 2600, 4300}, ThreeDatums());
+  const NodeIndex query = LastOf(drives.many[2]);
+  const SearchScope scope{drives.Joined(), 2};
+  const CandidateSet set =
+      Answer(drives.many[2], query, settings.search, &scope);
+  double claimed = *set.new_place_probability;
+  std::vector<bool> found(3);
+  for (const Candidate& candidate : set.candidates) {
+    found[candidate.drive.value_or(2)] = true;
+    claimed = std::max(claimed, candidate.relative->probability);
+  }
+  EXPECT_EQ(found, std::vector<bool>({true, true, true}));
+  EXPECT_LE(claimed, 1.0);
+  // Passes of one place speak for each other, whichever vehicles drove them.
+  const CandidateSet alone = Answer(drives.many[2], query, settings.search);
+  EXPECT_LT(*set.new_place_probability, *alone.new_place_probability);
+}
+
+TEST(SearchScopeTest, AnswersAreTheSameFromTheStartAndAfterOtherSearches) {
+  const DriveSettings settings;
+  const OneAndMany drives(settings, {1300, 2600, 4300}, ThreeDatums());
+  const SearchScope scope{drives.Joined({{2, 0, {300, 20, nullptr}}}), 2};
+  const SearchScope another{drives.Joined(), 2};
+  Search kept(&drives.many[2]);
+  for (NodeIndex query = 200; query < drives.many[2].graph().size();
+       query += 75) {
+    SCOPED_TRACE(query);
+    const CandidateSet again = Answer(&kept, query, settings.search, &scope);
+    ExpectSameBits(again,
+                   Answer(drives.many[2], query, settings.search, &scope));
+    Answer(&kept, query, settings.search, &another);
+    // Nor does a scope change what comes after it without one.
+    ExpectSameBits(Answer(&kept, query, settings.search),
+                   Answer(drives.many[2], query, settings.search));
+  }
+}
+
+TEST(SearchScopeTest, AScopeWithoutOtherDrivesIsNone) {
+  const DriveSettings settings;
+  const OneAndMany drives(settings, {2600}, {ThreeDatums()[0]});
+  const Drive& drive = drives.many[0];
+  const Drive empty(settings);
+  for (const SearchScope& scope :
+       {SearchScope{Join({})}, SearchScope{Join({&drive}), 0},
+        SearchScope{Join({&empty, &drive}), 1}}) {
+    for (NodeIndex query = 50; query < drive.graph().size(); query += 150) {
+      ExpectSameBits(Answer(drive, query, settings.search, &scope),
+                     Answer(drive, query, settings.search));
+    }
+  }
+}
+
+TEST(SearchScopeTest, WithoutItsOwnHistoryADriveFindsOthersAlone) {
+  const DriveSettings settings;
+  const OneAndMany drives(settings, {1300, 2600, 4300}, ThreeDatums());
+  const SearchScope with{drives.Joined(), 2};
+  SearchScope without = with;
+  without.exclude_own = true;
+  const Drive& drive = drives.many[2];
+  const NodeIndex others =
+      drives.many[0].graph().size() + drives.many[1].graph().size();
+  const NodeIndex query = LastOf(drive);
+  const CandidateSet own = Answer(drive, query, settings.search, &with);
+  const auto is_own = [](const Candidate& candidate) {
+    return !candidate.drive.has_value();
+  };
+  EXPECT_TRUE(
+      std::any_of(own.candidates.begin(), own.candidates.end(), is_own));
+  const CandidateSet set = Answer(drive, query, settings.search, &without);
+  ASSERT_FALSE(set.candidates.empty());
+  EXPECT_TRUE(
+      std::none_of(set.candidates.begin(), set.candidates.end(), is_own));
+  EXPECT_EQ(set.nodes_considered + set.nodes_pruned, others);
+  EXPECT_LT(set.comparisons, own.comparisons);
+  EXPECT_EQ(Search(&drive).ComparisonsAt(query, settings.search, without),
+            set.comparisons);
+  // There is nothing where there is nobody else, and others' history where
+  // there is no own.
+  const SearchScope alone{Join({}), std::nullopt, true};
+  EXPECT_EQ(Answer(drive, query, settings.search, &alone).empty_reason,
+            EmptyReason::kNoHistory);
+  const NodeIndex first = SequenceNodes(settings.search.sequence_length_meters,
+                                        settings.node_spacing_meters) -
+                          1;
+  EXPECT_EQ(Answer(drive, first, settings.search).empty_reason,
+            EmptyReason::kNoHistory);
+  EXPECT_FALSE(Answer(drive, first, settings.search, &with).candidates.empty());
+}
+
+TEST(SearchScopeTest, ALinkSaysWhereAnotherDriveLies) {
+  const DriveSettings settings;
+  const Datums nowhere(2);
+  const OneAndMany drives(settings, {1300, 2400}, nowhere);
+  const Drive& drive = drives.many[1];
+  const NodeIndex query = LastOf(drive);
+  const auto best = [&](const std::vector<FrameLink>& links) {
+    const SearchScope scope{drives.Joined(links), 1};
+    const CandidateSet set = Answer(drive, query, settings.search, &scope);
+    EXPECT_FALSE(set.candidates.empty());
+    return set.candidates.front();
+  };
+  const Candidate untied = best({});
+  EXPECT_EQ(untied.drive, 0u);
+  EXPECT_EQ(untied.frame_state, FrameState::kNone);
+  EXPECT_FALSE(untied.difference.has_value());
+  // Both drives are in one frame, and so is the link true.
+  const NodeIndex c = 100;
+  NodeIndex m = 0;
+  const Pose at = drive.graph().pose(c);
+  const PoseGraph& graph = drives.many[0].graph();
+  for (NodeIndex j = 0; j < graph.size(); ++j) {
+    const auto meters = [&](NodeIndex i) {
+      return std::hypot(graph.pose(i).x - at.x, graph.pose(i).y - at.y);
+    };
+    if (meters(j) < meters(m)) m = j;
+  }
+  const Candidate tied = best({{1, 0, {c, m, nullptr}}});
+  EXPECT_EQ(tied.frame_state, FrameState::kProvisional);
+  EXPECT_TRUE(tied.difference.has_value());
+  EXPECT_GT(tied.score, untied.score);
+  const Pose matched = graph.pose(tied.matched);
+  const Pose asked = drive.graph().pose(query);
+  EXPECT_LT(std::hypot(matched.x - asked.x, matched.y - asked.y), 10.0);
+  // The other way round it says the same, but to first order.
+  EXPECT_EQ(best({{0, 1, {m, c, nullptr}}}).matched, tied.matched);
+}
+
+// A link confirms that two passes are of one place.
+TEST(SearchScopeTest, LinkedPassesSpeakForEachOther) {
+  DriveSettings settings;
+  settings.search.use_belief = false;
+  const OneAndMany drives(
+      settings, {1300, 2600, 3700},
+      {DatumAt({}, 30.0, 0.1), DatumAt({}, 30.0, 0.1), DatumAt({}, 30.0, 0.1)});
+  const Drive& drive = drives.many[2];
+  const NodeIndex query = LastOf(drive);
+  const auto answer = [&](std::vector<FrameLink> links) {
+    const SearchScope scope{drives.Joined(std::move(links)), 2};
+    return Answer(drive, query, settings.search, &scope);
+  };
+  const CandidateSet apart = answer({});
+  const auto in = [&](const CandidateSet& set, std::size_t d) {
+    return *std::find_if(
+        set.candidates.begin(), set.candidates.end(),
+        [d](const Candidate& candidate) { return candidate.drive == d; });
+  };
+  const Candidate a = in(apart, 0);
+  const Candidate b = in(apart, 1);
+  const CandidateSet linked = answer({{1, 0, {b.matched, a.matched, nullptr}}});
+  EXPECT_NEAR(in(linked, 0).relative->probability,
+              in(linked, 1).relative->probability, 1e-9);
+  EXPECT_EQ(in(linked, 0).matched, a.matched);
+  EXPECT_EQ(in(linked, 1).matched, b.matched);
+}
+
+TEST(SearchScopeTest, DrivesThatCannotBeComparedAreCounted) {
+  const DriveSettings settings;
+  DriveSettings spatial = settings;
+  spatial.state_space = StateSpace::kSpatial;
+  DriveSettings fixes = settings;
+  fixes.search.correlation_model = CorrelationModel::kIndependent;
+  DriveSettings coarse = settings;
+  coarse.node_spacing_meters = 2.5;
+  const auto datum = DatumAt({}, 3.0, 0.02);
+  const std::vector<Pose> ring = Ring(2600.0);
+  std::vector<Drive> drives;
+  for (const DriveSettings& each :
+       {settings, spatial, fixes, coarse, settings}) {
+    drives.emplace_back(each);
+    drives.back().Append(RecordingOf(ring, datum, 0), 1);
+  }
+  const SearchScope scope{
+      Join({&drives[0], &drives[1], &drives[2], &drives[3], &drives[4]}), 4};
+  const auto unsearched = [&](const SearchOptions& options) {
+    const CandidateSet set =
+        Answer(drives[4], LastOf(drives[4]), options, &scope);
+    for (const Candidate& candidate : set.candidates) {
+      EXPECT_EQ(candidate.drive.value_or(0), 0u);
+    }
+    return set.unsearched;
+  };
+  const auto expect = [](const std::vector<UnsearchedDrive>& found,
+                         const std::vector<UnsearchedDrive>& wanted) {
+    ASSERT_EQ(found.size(), wanted.size());
+    for (std::size_t i = 0; i < found.size(); ++i) {
+      EXPECT_EQ(found[i].drive, wanted[i].drive);
+      EXPECT_EQ(found[i].reason, wanted[i].reason);
+    }
+  };
+  expect(unsearched(settings.search), {{1, UnsearchedReason::kStateSpace},
+                                       {2, UnsearchedReason::kNoiseModel},
+                                       {3, UnsearchedReason::kNodeSpacing}});
+  SearchOptions composite = settings.search;
+  composite.alignment = AlignmentKind::kComposite;
+  expect(unsearched(composite), {{0, UnsearchedReason::kAlignment},
+                                 {1, UnsearchedReason::kAlignment},
+                                 {2, UnsearchedReason::kAlignment},
+                                 {3, UnsearchedReason::kAlignment}});
+  EXPECT_TRUE(
+      Answer(drives[4], LastOf(drives[4]), settings.search).unsearched.empty());
+}
+
+TEST(SearchScopeTest, AViewAnswersAsTheDriveWasThen) {
+  const DriveSettings settings;
+  OneAndMany drives(settings, {1300, 2600, 4300}, ThreeDatums());
+  const SearchScope scope{drives.Joined(), 2};
+  const Drive& drive = drives.many[2];
+  const NodeIndex query = LastOf(drive);
+  const CandidateSet before = Answer(drive, query, settings.search, &scope);
+  drives.many[0].Append(RecordingOf(PartOfRing({1300, 2600}, 1), nullptr,
+                                    drives.many[0].last_sequence()),
+                        2);
+  ExpectSameBits(Answer(drive, query, settings.search, &scope), before);
+  const SearchScope now{drives.Joined(), 2};
+  EXPECT_GT(Answer(drive, query, settings.search, &now).comparisons,
+            before.comparisons);
+}
+
+}  // namespace
+}  // namespace revisit::core
