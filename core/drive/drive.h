@@ -222,7 +222,7 @@ class Drive {
   // The confirmed loops whose nodes both lie at or before the query, in the
   // order in which they came.
   std::vector<ConfirmedLoop> LoopsAt(NodeIndex query) const;
-  // What relations of the drive's frames are made from.
+  // The drive's frames, from which relations are made.
   FrameNodes frame_nodes() const;
   // How the frames of the recordings up to the query's lie to each other, by
   // LoopsAt() it.

@@ -1,4 +1,4 @@
-// What a search of another drive needs of a drive, as it was at one moment.
+// A drive as it was at one moment, as far as searches of other drives need it.
 //
 // A view is made once and never changes, so that any number of threads may read
 // it while the drive goes on. It shares the full blocks of the graph with the

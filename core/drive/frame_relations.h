@@ -27,9 +27,9 @@ namespace revisit::core {
 
 class FrameRelations {
  public:
-  // Of no drive.
+  // There are no frames yet.
   FrameRelations() = default;
-  // Of one drive, whose recording k has frame k: AddDrive().
+  // Adds one drive, whose recording k has frame k.
   FrameRelations(const FrameNodes& nodes, const Recordings& recordings,
                  NodeIndex query, const std::vector<ConfirmedLoop>& loops);
 
@@ -56,7 +56,7 @@ class FrameRelations {
   std::size_t size() const { return recordings_; }
 
   // The relations of a frame to each of them, as it asks; to itself, kSame.
-  // Those of the first drive's recordings come first. O(frames + edges).
+  // The first drive's recordings come first. O(frames + edges).
   std::vector<FrameRelation> From(std::size_t asking) const;
 
   // The nodes of two recordings' frames.
@@ -74,7 +74,7 @@ class FrameRelations {
     FrameRelation relation;
   };
 
-  // Of a frame that is none of a recording, those of any drive.
+  // A frame that is none of a recording has those of any drive.
   const FrameNodes& NodesOf(std::size_t frame) const {
     return nodes_[drive_of_[frame]];
   }

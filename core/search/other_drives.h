@@ -32,6 +32,8 @@ class GrowthOfOthers {
   // REQUIRES: the view is one of those joined; the node lies in the recording.
   const std::vector<char>& Of(const DriveView& view, std::size_t recording,
                               NodeIndex reference);
+  // How many are kept.
+  std::size_t size() const { return growing_.size(); }
 
  private:
   // Keeps the views, and so their addresses.

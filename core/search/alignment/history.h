@@ -39,7 +39,7 @@ struct History {
   // grow from each node of a block to it, or from it to each node
   // (block_growth.h). By block of the graph; null where it is not known.
   const std::vector<char>* growing = nullptr;
-  // Of another drive than the one that asks: its index in the scope of the
+  // For another drive than the one that asks: its index in the scope of the
   // search, and FrameNodes::known_scale.
   std::optional<std::size_t> drive = std::nullopt;
   std::optional<double> known_scale = std::nullopt;

@@ -4,6 +4,7 @@
 
 #include <memory>
 #include <optional>
+#include <random>
 #include <vector>
 
 #include "core/drive/drive.h"
@@ -13,6 +14,8 @@
 #include "core/settings.h"
 #include "tests/core/drive/drives.h"
 #include "tests/core/drive/scoped_drives.h"
+#include "tests/core/graphs.h"
+#include "tests/random.h"
 
 namespace revisit::core {
 namespace {
@@ -129,6 +132,21 @@ TEST(JoinedDrivesTest, ALinkTiesAndARevisedLinkTiesOtherwise) {
   EXPECT_EQ(far.drift.norm(), 0.0);
 }
 
+TEST(JoinedDrivesTest, AMeasuredLinkPlacesTheOtherDriveAsMeasured) {
+  std::mt19937_64 random = SeededRandom();
+  const Drive a = DriveOver(0, 300, nullptr);
+  const Drive b = DriveOver(100, 400, nullptr);
+  const auto measured = RandomMeasurement(random, EstimateAt(a.graph(), 60),
+                                          EstimateAt(b.graph(), 50), 0.5);
+  const auto joined = Join({&a, &b}, {{0, 1, {60, 50, measured}}});
+  const FrameRelation tied = RelationTo(*joined, a, 0, 1);
+  EXPECT_EQ(tied.state, FrameState::kProvisional);
+  const Pose query = Compose(Compose(tied.transform, b.graph().pose(50)),
+                             measured->measurement.relative);
+  EXPECT_NEAR(query.x, a.graph().pose(60).x, 1e-9);
+  EXPECT_NEAR(query.y, a.graph().pose(60).y, 1e-9);
+}
+
 TEST(JoinedDrivesTest, DriftOfADriveBetweenHasTheScaleOfThatDrive) {
   const Drive a = DriveOver(0, 300, nullptr);
   const Drive b = DriveOver(0, 300, nullptr);
@@ -152,6 +170,30 @@ TEST(JoinedDrivesTest, WhatTheAskingDriveLearnsAfterTheQueryDoesNotCount) {
   const auto joined = Join({&a, &b}, {{0, 1, {100, 30, nullptr}}});
   EXPECT_EQ(RelationTo(*joined, a, 0, 1, 100).state, FrameState::kProvisional);
   EXPECT_EQ(RelationTo(*joined, a, 0, 1, 99).state, FrameState::kNone);
+}
+
+TEST(JoinedDrivesTest, LinksToPosesThatAViewDoesNotHaveWaitForAnother) {
+  const Drive a = DriveOver(0, 300, nullptr);
+  Drive b = DriveOver(0, 300, nullptr);
+  const Drive c = DriveOver(0, 300, nullptr);
+  const NodeIndex next = b.graph().size();
+  const std::vector<FrameLink> links = {{0, 1, {40, next, nullptr}},
+                                        {1, 2, {next, 40, nullptr}}};
+  const auto before = Join({&a, &b, &c}, links);
+  EXPECT_EQ(RelationTo(*before, a, 0, 1).state, FrameState::kNone);
+  EXPECT_EQ(RelationTo(*before, c, std::nullopt, 1).state, FrameState::kNone);
+  RecordingStart unknown;
+  unknown.relation = RecordingRelation::kUnknown;
+  b.Append(RecordingOf(Part(300, 400),
+                       std::make_shared<const RecordingStart>(unknown),
+                       b.last_sequence()),
+           2);
+  EXPECT_EQ(RelationTo(*before, a, 0, 1).state, FrameState::kNone);
+  const auto after = Join({&a, &b, &c}, links);
+  const SeenFrames seen = SeenBy(*after, a, 0);
+  const std::size_t second = *after->FrameOf(1, a.frame_nodes()) + 1;
+  EXPECT_EQ(seen.relations.From(seen.own)[second].state,
+            FrameState::kProvisional);
 }
 
 // The drive goes on behind its view, in a recording that the view does not

@@ -81,7 +81,7 @@ void Drove(std::mt19937_64& random,
   }
 }
 
-// What the definitions say of a search that asks at the newest node.
+// A search that asks at the newest node, as the definitions have it.
 template <int D>
 class Brute {
  public:

@@ -8,12 +8,16 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <thread>
 #include <vector>
 
+#include "core/drive/block_growth.h"
 #include "core/drive/drive.h"
+#include "core/drive/drive_view.h"
 #include "core/drive/joined_drives.h"
 #include "core/drive/pose_graph.h"
 #include "core/drive/recordings.h"
+#include "core/search/other_drives.h"
 #include "core/search/search.h"
 #include "core/settings.h"
 #include "tests/core/drive/drives.h"
@@ -61,7 +65,7 @@ struct OneAndMany {
 
   Drive one;
   std::vector<Drive> many;
-  // Of `one`, the first node of each recording.
+  // The first node of each recording of `one`.
   std::vector<NodeIndex> first;
 };
 
@@ -305,32 +309,32 @@ TEST(SearchScopeTest, ALinkSaysWhereAnotherDriveLies) {
   EXPECT_EQ(best({{0, 1, {m, c, nullptr}}}).matched, tied.matched);
 }
 
-// A link confirms that two passes are of one place.
-TEST(SearchScopeTest, LinkedPassesSpeakForEachOther) {
-  DriveSettings settings;
-  settings.search.use_belief = false;
-  const OneAndMany drives(
-      settings, {1300, 2600, 3700},
-      {DatumAt({}, 30.0, 0.1), DatumAt({}, 30.0, 0.1), DatumAt({}, 30.0, 0.1)});
-  const Drive& drive = drives.many[2];
-  const NodeIndex query = LastOf(drive);
-  const auto answer = [&](std::vector<FrameLink> links) {
-    const SearchScope scope{drives.Joined(std::move(links)), 2};
-    return Answer(drive, query, settings.search, &scope);
-  };
-  const CandidateSet apart = answer({});
-  const auto in = [&](const CandidateSet& set, std::size_t d) {
-    return *std::find_if(
-        set.candidates.begin(), set.candidates.end(),
-        [d](const Candidate& candidate) { return candidate.drive == d; });
-  };
-  const Candidate a = in(apart, 0);
-  const Candidate b = in(apart, 1);
-  const CandidateSet linked = answer({{1, 0, {b.matched, a.matched, nullptr}}});
-  EXPECT_NEAR(in(linked, 0).relative->probability,
-              in(linked, 1).relative->probability, 1e-9);
-  EXPECT_EQ(in(linked, 0).matched, a.matched);
-  EXPECT_EQ(in(linked, 1).matched, b.matched);
+// Where errors grow says which blocks may be left out unseen.
+TEST(SearchScopeTest, GrowthIsThatOfEachViewAndIsForgottenWithIt) {
+  const std::vector<Pose> ring = Ring(1300.0);
+  Drive grows(DriveSettings{});
+  grows.Append(RecordingOf(ring, nullptr, 0), 1);
+  DriveSettings fixes;
+  fixes.search.correlation_model = CorrelationModel::kIndependent;
+  Drive does_not(fixes);
+  does_not.Append(WithDeviations(ring, 1.0, 0.1), 1);
+  const auto joined = Join({&grows, &does_not});
+  GrowthOfOthers growth;
+  growth.Enter(joined);
+  for (std::size_t d = 0; d < 2; ++d) {
+    const DriveView& view = joined->view(d);
+    for (const NodeIndex reference : {0, 200}) {
+      const std::vector<char>& found = growth.Of(view, 0, reference);
+      EXPECT_EQ(found, BlocksGrowing(view.state_space, view.graph,
+                                     {0, view.graph.size()}, reference));
+      EXPECT_EQ(std::count(found.begin(), found.end(), 1) > 0, d == 0);
+    }
+  }
+  EXPECT_EQ(growth.size(), 4u);
+  growth.Enter(std::make_shared<const JoinedDrives>(
+      std::vector<JoinedDrive>{{joined->shared_view(1)}},
+      std::vector<FrameLink>()));
+  EXPECT_EQ(growth.size(), 2u);
 }
 
 TEST(SearchScopeTest, DrivesThatCannotBeComparedAreCounted) {
@@ -378,6 +382,24 @@ TEST(SearchScopeTest, DrivesThatCannotBeComparedAreCounted) {
                                  {3, UnsearchedReason::kAlignment}});
   EXPECT_TRUE(
       Answer(drives[4], LastOf(drives[4]), settings.search).unsearched.empty());
+}
+
+TEST(SearchScopeTest, SearchesMayShareAScopeAtATime) {
+  const DriveSettings settings;
+  const OneAndMany drives(settings, {1300, 2600, 3900}, ThreeDatums());
+  const auto joined = drives.Joined({{1, 0, {300, 20, nullptr}}});
+  const auto ask = [&](std::size_t d) {
+    const SearchScope scope{joined, d};
+    return Answer(drives.many[d], LastOf(drives.many[d]), settings.search,
+                  &scope);
+  };
+  std::vector<CandidateSet> together(3);
+  std::vector<std::thread> askers;
+  for (std::size_t d = 0; d < 3; ++d) {
+    askers.emplace_back([&, d] { together[d] = ask(d); });
+  }
+  for (std::thread& asker : askers) asker.join();
+  for (std::size_t d = 0; d < 3; ++d) ExpectSameBits(together[d], ask(d));
 }
 
 TEST(SearchScopeTest, AViewAnswersAsTheDriveWasThen) {

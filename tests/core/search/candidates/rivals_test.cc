@@ -2,7 +2,10 @@
 
 #include <gtest/gtest.h>
 
+#include "core/drive/frame_relation.h"
+#include "core/drive/frame_relations.h"
 #include "core/drive/pose_graph.h"
+#include "core/drive/recordings.h"
 
 namespace revisit::core {
 namespace {
@@ -60,6 +63,33 @@ TEST(RivalsTest, PassesOfOnePlaceSpeakForEachOther) {
   EXPECT_NEAR(rivals.RunnerUp(0), 0.1, 1e-9);
   EXPECT_NEAR(rivals.RunnerUp(1), 0.1, 1e-9);
   EXPECT_NEAR(rivals.RunnerUp(2), 0.8, 1e-9);
+}
+
+TEST(RivalsTest, PassesOfTwoDrivesSpeakForEachOtherWhereALinkJoinsThem) {
+  const PoseGraph asking = ThreeRoads();
+  const PoseGraph other = ThreeRoads();
+  const auto nodes_of = [](const PoseGraph& graph) {
+    return FrameNodes{graph, StateSpace::kPlanar,
+                      CorrelationModel::kIndependent};
+  };
+  FrameRelations frames;
+  const NodeIndex last = asking.size() - 1;
+  const std::size_t a = frames.AddDrive(nodes_of(asking), {}, last, {});
+  const std::size_t b = frames.AddDrive(nodes_of(other), {}, last, {});
+  frames.AddLink(b, a, {150, 50});
+  std::vector<History> histories = {{asking, asking.size()},
+                                    {other, other.size()}};
+  histories[0].frame = a;
+  histories[1].frame = b;
+  std::vector<RankedPlace> places = {Claiming(50, 0.5), Claiming(150, 0.3),
+                                     Claiming(250, 0.1)};
+  places[1].history = 1;
+  RelativeModel model;
+  model.similarity.correlation = CorrelationModel::kIndependent;
+  const Rivals rivals(histories, &frames, model, places);
+  EXPECT_NEAR(rivals.Probability(0), 0.8, 1e-9);
+  EXPECT_NEAR(rivals.Probability(1), 0.8, 1e-9);
+  EXPECT_NEAR(rivals.Probability(2), 0.1, 1e-9);
 }
 
 TEST(RivalsTest, ProbabilitiesAreAtMostOne) {

@@ -3,7 +3,10 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <vector>
 
+#include "core/drive/confirmed_loop.h"
+#include "core/drive/frame_relation.h"
 #include "core/drive/pose_graph.h"
 #include "core/geometry/heading.h"
 #include "tests/oracle/wide_state.h"
@@ -87,6 +90,46 @@ TEST(SamePlaceTest, OppositePassesAreTwoPlaces) {
   graph.AddLoopEdge(50, 149);
   EXPECT_LT(SamePlaceProbability(graph, IndependentModel(), 50, 149, 20.0),
             1e-9);
+}
+
+// The nodes of two drives, of which the other one has a known scale.
+class SamePlaceAcrossTest : public testing::Test {
+ protected:
+  double Probability(const std::vector<ConfirmedLoop>& links, NodeIndex i,
+                     NodeIndex j, double scale = 1.0) const {
+    const FrameNodes asking{asked_, StateSpace::kPlanar,
+                            CorrelationModel::kIndependent};
+    FrameNodes other{found_, StateSpace::kPlanar,
+                     CorrelationModel::kIndependent, scale};
+    FrameRelation relation;
+    relation.state = FrameState::kDatum;
+    relation.transform.y = 20.0;
+    return SamePlaceAcross({asking, other}, relation, links, IndependentModel(),
+                           i, j, 0.0);
+  }
+
+ private:
+  const PoseGraph asked_ = TwoPasses(80.0, 1.0);
+  const PoseGraph found_ = TwoPasses(80.0, 1.0);
+};
+
+TEST_F(SamePlaceAcrossTest, WhatALinkJoinsNearbyIsOnePlace) {
+  EXPECT_LT(Probability({}, 50, 50), 1e-9);
+  EXPECT_EQ(Probability({{54, 47, nullptr}}, 50, 50), 1.0);
+  EXPECT_LT(Probability({{54, 44, nullptr}}, 50, 50), 1e-9);
+  EXPECT_LT(Probability({{56, 47, nullptr}}, 50, 50), 1e-9);
+}
+
+TEST_F(SamePlaceAcrossTest, EachDriveHasTheScaleThatItHasShown) {
+  EXPECT_GT(Probability({}, 50, 50, 20.0), 1e3 * Probability({}, 50, 50));
+}
+
+TEST(SamePlaceTest, PassesOfAnotherDriveHaveItsScale) {
+  const PoseGraph graph = TwoPasses(20.0, 1.0);
+  RelativeModel scaled = IndependentModel();
+  scaled.similarity.inflation = 5.0;
+  EXPECT_EQ(SamePlaceProbability(graph, IndependentModel(), 50, 150, 0.0, 5.0),
+            SamePlaceProbability(graph, scaled, 50, 150, 0.0));
 }
 
 }  // namespace
