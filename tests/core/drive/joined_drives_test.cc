@@ -181,7 +181,13 @@ TEST(JoinedDrivesTest, LinksToPosesThatAViewDoesNotHaveWaitForAnother) {
                                         {1, 2, {next, 40, nullptr}}};
   const auto before = Join({&a, &b, &c}, links);
   EXPECT_EQ(RelationTo(*before, a, 0, 1).state, FrameState::kNone);
-  EXPECT_EQ(RelationTo(*before, c, std::nullopt, 1).state, FrameState::kNone);
+  const SeenFrames of_others = SeenBy(*before, c, 2);
+  const auto frame_of = [&](std::size_t d) {
+    return *before->FrameOf(d, a.frame_nodes());
+  };
+  EXPECT_EQ(of_others.relations.From(frame_of(0))[frame_of(1)].state,
+            FrameState::kNone);
+  EXPECT_EQ(RelationTo(*before, c, 2, 1).state, FrameState::kNone);
   RecordingStart unknown;
   unknown.relation = RecordingRelation::kUnknown;
   b.Append(RecordingOf(Part(300, 400),

@@ -198,6 +198,8 @@ TEST(SearchScopeTest, OneNewPlaceStandsAgainstAllHistories) {
   // Passes of one place speak for each other, whichever vehicles drove them.
   const CandidateSet alone = Answer(drives.many[2], query, settings.search);
   EXPECT_LT(*set.new_place_probability, *alone.new_place_probability);
+  // What the drive has shown of its scale, it has shown by itself.
+  EXPECT_EQ(set.scale->scale, alone.scale->scale);
 }
 
 TEST(SearchScopeTest, AnswersAreTheSameFromTheStartAndAfterOtherSearches) {
