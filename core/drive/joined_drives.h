@@ -58,9 +58,6 @@ class JoinedDrives {
   const DriveView& view(std::size_t drive) const {
     return *drives_[drive].view;
   }
-  const std::shared_ptr<const DriveView>& shared_view(std::size_t drive) const {
-    return drives_[drive].view;
-  }
 
   // The frames as they are seen from the asking drive at a node: with its own
   // recordings up to the query, and its loops, which are given, and links whose

@@ -9,6 +9,7 @@
 #include <memory>
 #include <optional>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include "core/drive/block_growth.h"
@@ -320,7 +321,12 @@ TEST(SearchScopeTest, GrowthIsThatOfEachViewAndIsForgottenWithIt) {
   fixes.search.correlation_model = CorrelationModel::kIndependent;
   Drive does_not(fixes);
   does_not.Append(WithDeviations(ring, 1.0, 0.1), 1);
-  const auto joined = Join({&grows, &does_not});
+  const auto kept = does_not.View(1.0);
+  const auto joining = [](std::vector<JoinedDrive> drives) {
+    return std::make_shared<const JoinedDrives>(std::move(drives),
+                                                std::vector<FrameLink>());
+  };
+  const auto joined = joining({{grows.View(1.0)}, {kept}});
   GrowthOfOthers growth;
   growth.Enter(joined);
   for (std::size_t d = 0; d < 2; ++d) {
@@ -333,9 +339,7 @@ TEST(SearchScopeTest, GrowthIsThatOfEachViewAndIsForgottenWithIt) {
     }
   }
   EXPECT_EQ(growth.size(), 4u);
-  growth.Enter(std::make_shared<const JoinedDrives>(
-      std::vector<JoinedDrive>{{joined->shared_view(1)}},
-      std::vector<FrameLink>()));
+  growth.Enter(joining({{kept}}));
   EXPECT_EQ(growth.size(), 2u);
 }
 
