@@ -16,8 +16,14 @@
 
 namespace revisit::server {
 
-// `Reader` is a Storage that lacks the writes; here each of them is
-// FAILED_PRECONDITION.
+// FAILED_PRECONDITION: what a write is answered with.
+inline absl::Status OpenedForReading() {
+  return Error(absl::StatusCode::kFailedPrecondition, "INTERNAL",
+               "this store was opened for reading");
+}
+
+// `Reader` is a Storage that lacks the writes; here each of them is answered
+// with OpenedForReading().
 template <typename Reader>
 class ReadOnlyStorage final : public Reader {
  public:
@@ -30,59 +36,57 @@ class ReadOnlyStorage final : public Reader {
   void CreateVehicle(
       VehicleRecord,
       std::function<void(absl::StatusOr<VehicleKey>)> done) override {
-    done(Refusal());
+    done(OpenedForReading());
   }
   void UpdateVehicle(VehicleKey, std::string, std::uint64_t,
                      Done done) override {
-    done(Refusal());
+    done(OpenedForReading());
   }
   void DeleteVehicle(VehicleKey, EventRecord, Done done) override {
-    done(Refusal());
+    done(OpenedForReading());
   }
   void AppendBatches(VehicleKey, std::vector<BatchRecord>,
                      std::optional<std::string>, Done done) override {
-    done(Refusal());
+    done(OpenedForReading());
   }
   void ReviseBatches(VehicleKey, BatchSource, std::uint64_t,
                      Done done) override {
-    done(Refusal());
+    done(OpenedForReading());
   }
   void ReplaceBatches(VehicleKey, std::vector<BatchVersions>, std::uint64_t,
                       Done done) override {
-    done(Refusal());
+    done(OpenedForReading());
   }
   void AddPosePair(VehicleKey, PairKind, PosePairRecord,
                    std::optional<ChecksWrite>, std::uint64_t,
                    Done done) override {
-    done(Refusal());
+    done(OpenedForReading());
   }
   void DeletePosePair(VehicleKey, DeletedPairRecord, std::optional<ChecksWrite>,
                       std::uint64_t, Done done) override {
-    done(Refusal());
+    done(OpenedForReading());
   }
   void PutChecks(VehicleKey, ChecksWrite, Done done) override {
-    done(Refusal());
+    done(OpenedForReading());
   }
-  void DropEvents(std::int64_t, int, Done done) override { done(Refusal()); }
+  void DropEvents(std::int64_t, int, Done done) override {
+    done(OpenedForReading());
+  }
   void DropDamaged(VehicleKey, std::uint64_t, std::string, std::uint64_t,
                    Done done) override {
-    done(Refusal());
+    done(OpenedForReading());
   }
   void PutSnapshotPart(VehicleKey, std::uint32_t, std::string,
                        Done done) override {
-    done(Refusal());
+    done(OpenedForReading());
   }
   void PutSnapshot(VehicleKey, SnapshotRecord, Done done) override {
-    done(Refusal());
+    done(OpenedForReading());
   }
-  void DropSnapshot(VehicleKey, Done done) override { done(Refusal()); }
-  absl::Status CheckWritable() override { return Refusal(); }
-
- private:
-  static absl::Status Refusal() {
-    return Error(absl::StatusCode::kFailedPrecondition, "INTERNAL",
-                 "this store was opened for reading");
+  void DropSnapshot(VehicleKey, Done done) override {
+    done(OpenedForReading());
   }
+  absl::Status CheckWritable() override { return OpenedForReading(); }
 };
 
 }  // namespace revisit::server

@@ -17,21 +17,6 @@ std::string Range(const BatchRecord& batch) {
          std::to_string(batch.first_sequence + batch.count - 1);
 }
 
-absl::Status CheckRow(std::int64_t format, std::int64_t stored_checksum,
-                      std::int64_t computed_checksum, const std::string& what,
-                      const ErrorMetadata& metadata) {
-  if (stored_checksum != computed_checksum) {
-    return Corrupt(what + " fails its checksum", metadata);
-  }
-  if (format < kOldestStoreFormat || format > kStoreFormat) {
-    return Corrupt(what + " has format " + std::to_string(format) +
-                       "; known are " + std::to_string(kOldestStoreFormat) +
-                       " to " + std::to_string(kStoreFormat),
-                   metadata);
-  }
-  return absl::OkStatus();
-}
-
 }  // namespace
 
 std::string Printable(std::string text) {
@@ -97,6 +82,21 @@ absl::Status NoSuchSnapshotPart(std::uint32_t number) {
   return Error(StatusCode::kFailedPrecondition, "INTERNAL",
                "part " + std::to_string(number) +
                    " of the vehicle's snapshot is not kept");
+}
+
+absl::Status CheckRow(std::int64_t format, std::int64_t stored_checksum,
+                      std::int64_t computed_checksum, const std::string& what,
+                      const ErrorMetadata& metadata) {
+  if (stored_checksum != computed_checksum) {
+    return Corrupt(what + " fails its checksum", metadata);
+  }
+  if (format < kOldestStoreFormat || format > kStoreFormat) {
+    return Corrupt(what + " has format " + std::to_string(format) +
+                       "; known are " + std::to_string(kOldestStoreFormat) +
+                       " to " + std::to_string(kStoreFormat),
+                   metadata);
+  }
+  return absl::OkStatus();
 }
 
 void CheckVehicleRow(std::int64_t format, std::int64_t checksum,

@@ -10,6 +10,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "server/base/status.h"
 #include "server/storage/records.h"
 
 namespace revisit::server {
@@ -42,6 +43,11 @@ absl::Status NoSuchSnapshotPart(std::uint32_t number);
 
 // ---- Rows as they were read. A row is sound if its checksum matches and its
 // format is known here.
+
+// DATA_LOSS (STORE_CORRUPT) unless the row is sound.
+absl::Status CheckRow(std::int64_t format, std::int64_t stored_checksum,
+                      std::int64_t computed_checksum, const std::string& what,
+                      const ErrorMetadata& metadata);
 
 // Sets `damage`, and clears the members that a damaged row does not give.
 void CheckVehicleRow(std::int64_t format, std::int64_t checksum,

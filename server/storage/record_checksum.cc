@@ -157,4 +157,38 @@ std::int64_t ChecksumOfChecksHead(std::int64_t format, VehicleKey key,
       .Digest();
 }
 
+std::int64_t ChecksumOfGroup(std::int64_t format, const GroupRecord& row) {
+  return Hasher('G')
+      .Add(row.id)
+      .Add(format)
+      .Add(row.version.uid)
+      .Add(row.payload)
+      .Digest();
+}
+
+std::int64_t ChecksumOfMember(std::int64_t format, const std::string& group_id,
+                              const GroupMemberRecord& row) {
+  return Hasher('M')
+      .Add(group_id)
+      .Add(row.vehicle)
+      .Add(format)
+      .Add(row.payload)
+      .Digest();
+}
+
+std::int64_t ChecksumOfLink(std::int64_t format, const std::string& group_id,
+                            const GroupLinkRecord& row) {
+  return Hasher('K')
+      .Add(group_id)
+      .Add(row.id)
+      .Add(format)
+      .Add(static_cast<std::int64_t>(row.state))
+      .Add(row.query.vehicle)
+      .Add(row.query.sequence)
+      .Add(row.matched.vehicle)
+      .Add(row.matched.sequence)
+      .Add(row.payload)
+      .Digest();
+}
+
 }  // namespace revisit::server

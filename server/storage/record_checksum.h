@@ -5,16 +5,18 @@
 #include <cstdint>
 #include <string>
 
+#include "server/storage/group_records.h"
 #include "server/storage/records.h"
 
 namespace revisit::server {
 
 // XXH3, 64 bits, seed 0, over every column of a row: a letter for the table
-// ('V', 'B', 'R', 'L', 'N', 'D', 'S', 'P', 'C', 'E', 'H'), then the columns in
-// the order of the schema, integers as 8 bytes little-endian, text and blobs as
-// their size (8 bytes) and their bytes. The columns include format version and
-// vehicle key, so a row that ended up in another place fails too. It finds
-// damage, not malice. The 64 bits are stored as SQLite's signed integer.
+// ('V', 'B', 'R', 'L', 'N', 'D', 'S', 'P', 'C', 'E', 'H', 'G', 'M', 'K'), then
+// the columns in the order of the schema, integers as 8 bytes little-endian,
+// text and blobs as their size (8 bytes) and their bytes. The columns include
+// format version and vehicle key, so a row that ended up in another place fails
+// too. It finds damage, not malice. The 64 bits are stored as SQLite's signed
+// integer.
 std::int64_t ChecksumOfVehicle(std::int64_t format, const VehicleRecord& row);
 std::int64_t ChecksumOfBatch(std::int64_t format, VehicleKey key,
                              BatchVersion version, const BatchRecord& row);
@@ -41,6 +43,13 @@ std::int64_t ChecksumOfEvent(std::int64_t format, VehicleKey key,
                              const EventRecord& row);
 std::int64_t ChecksumOfChecksHead(std::int64_t format, VehicleKey key,
                                   const ChecksHead& row);
+
+// Without the revision, which the database raises itself where a vehicle goes.
+std::int64_t ChecksumOfGroup(std::int64_t format, const GroupRecord& row);
+std::int64_t ChecksumOfMember(std::int64_t format, const std::string& group_id,
+                              const GroupMemberRecord& row);
+std::int64_t ChecksumOfLink(std::int64_t format, const std::string& group_id,
+                            const GroupLinkRecord& row);
 
 }  // namespace revisit::server
 

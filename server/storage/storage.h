@@ -20,6 +20,9 @@
 // pair of poses is returned with `damage` set, beside all others, so that it
 // can be reported, given up (DropDamaged()) or deleted.
 //
+// Groups of vehicles, which no server owns, have a contract of their own
+// (group_storage.h).
+//
 // Every error carries a reason (server/base/status.h). Besides those named at
 // each call: UNAVAILABLE (STORE_UNAVAILABLE) where the device or the file
 // system fails, DATA_LOSS (STORE_CORRUPT) for damage, NOT_FOUND
@@ -47,6 +50,7 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "server/base/histogram.h"
+#include "server/storage/group_storage.h"
 #include "server/storage/records.h"
 #include "server/storage/storage_facts.h"
 
@@ -111,6 +115,7 @@ class Storage {
   // Removes the vehicle and all that belongs to it. Of its events, the places
   // stay, without payload, so that who has read up to one can go on behind it;
   // `farewell`, if it has had any, is its last one, whose number is given here.
+  // The vehicle leaves its groups, with its links.
   virtual void DeleteVehicle(VehicleKey key, EventRecord farewell,
                              Done done) = 0;
   // Stores batches that follow each other, all in one step.
@@ -165,7 +170,8 @@ class Storage {
 
   // Gives up damaged rows: removes all poses after `last_sequence`, pairs that
   // name such a pose, and damaged pairs, deleted ones too, checks after it and
-  // damaged ones, and sets the payload. No check after it counts as made.
+  // damaged ones, and links of groups that name such a pose, and sets the
+  // payload. No check after it counts as made.
   // FAILED_PRECONDITION unless a batch ends at `last_sequence`, or it is 0.
   virtual void DropDamaged(VehicleKey key, std::uint64_t last_sequence,
                            std::string payload, std::uint64_t revision,
@@ -294,6 +300,9 @@ class Storage {
       const EventPosition& after, int limit) = 0;
   // The position of the last event that ReadEvents() would answer now.
   virtual absl::StatusOr<EventPosition> LastEvent() = 0;
+
+  // The groups of the vehicles, as long as the storage lives.
+  virtual GroupStorage& Groups() = 0;
 
   // OK if the next write is likely to be taken; otherwise what it would be
   // refused with: RESOURCE_EXHAUSTED (STORAGE_FULL), or UNAVAILABLE

@@ -32,9 +32,10 @@ class Copier {
       }
       after = page->back().id;
     }
-    if (absl::Status status = destination_->Commit(); !status.ok()) {
-      return status;
-    }
+    absl::Status status = VisitGroups(
+        source_, [this](const GroupRecord& group) { return CopyGroup(group); });
+    if (status.ok()) status = destination_->Commit();
+    if (!status.ok()) return status;
     return report_;
   }
 
@@ -71,6 +72,22 @@ class Copier {
           report_.checks += static_cast<std::int64_t>(checks.size());
           return destination_->AddChecks(vehicle.key, vehicle.checks, checks);
         });
+  }
+
+  absl::Status CopyGroup(const GroupRecord& group) {
+    absl::Status status = destination_->AddGroup(group);
+    if (!status.ok()) return status;
+    ++report_.groups;
+    status =
+        VisitMembers(source_, group.id, [&](const GroupMemberRecord& member) {
+          ++report_.members;
+          return destination_->AddMember(group.id, member);
+        });
+    if (!status.ok()) return status;
+    return VisitLinks(source_, group.id, [&](const GroupLinkRecord& link) {
+      ++report_.links;
+      return destination_->AddLink(group.id, link);
+    });
   }
 
   absl::StatusOr<std::vector<BatchRecord>> Read(const VehicleRecord& vehicle,

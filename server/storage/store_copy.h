@@ -4,10 +4,12 @@
 #define REVISIT_SERVER_STORAGE_STORE_COPY_H_
 
 #include <optional>
+#include <string>
 #include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "server/storage/group_records.h"
 #include "server/storage/records.h"
 #include "server/storage/store_report.h"
 
@@ -35,6 +37,13 @@ class StoreIntake {
   // since nobody can have read them in this store.
   virtual absl::Status AddChecks(VehicleKey key, const ChecksHead& head,
                                  const std::vector<CheckRecord>& checks) = 0;
+  // Groups come after all vehicles, each before its members, and these before
+  // its links. The record's own revision is kept.
+  virtual absl::Status AddGroup(const GroupRecord& group) = 0;
+  virtual absl::Status AddMember(const std::string& group_id,
+                                 const GroupMemberRecord& member) = 0;
+  virtual absl::Status AddLink(const std::string& group_id,
+                               const GroupLinkRecord& link) = 0;
   virtual absl::Status Commit() = 0;
 };
 

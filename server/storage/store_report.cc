@@ -13,6 +13,8 @@ namespace {
 // Pairs of poses, and checks, that are read at a time.
 constexpr int kPairsPerRead = 1000;
 constexpr int kChecksPerRead = 200;
+// Groups, members or links.
+constexpr int kOfGroupsPerRead = 500;
 
 absl::Status CountVehicle(Storage& storage, const std::string& id,
                           StoreReport* counts) {
@@ -65,6 +67,78 @@ bool IsSame(Storage& storage, VehicleKey key,
          (!*now || (*now)->last_sequence == (*before)->last_sequence);
 }
 
+// Visits the records of all pages, damaged ones too, until `visit` refuses.
+// `read` answers the page behind an id, which is the records' member `id`.
+template <typename Record>
+absl::Status VisitPages(
+    const std::function<
+        absl::StatusOr<std::vector<Record>>(const std::string& after)>& read,
+    std::string Record::*id,
+    const std::function<absl::Status(const Record&)>& visit) {
+  std::string after;
+  while (true) {
+    const absl::StatusOr<std::vector<Record>> page = read(after);
+    if (!page.ok()) return page.status();
+    if (page->empty()) return absl::OkStatus();
+    for (const Record& record : *page) {
+      if (absl::Status status = visit(record); !status.ok()) return status;
+    }
+    after = page->back().*id;
+  }
+}
+
+using VisitGroup = std::function<absl::Status(const GroupRecord&)>;
+using VisitMember = std::function<absl::Status(const GroupMemberRecord&)>;
+using VisitLink = std::function<absl::Status(const GroupLinkRecord&)>;
+
+absl::Status VisitAllGroups(Storage& storage, const VisitGroup& visit) {
+  return VisitPages<GroupRecord>(
+      [&](const std::string& after) {
+        return storage.Groups().ListGroups(after, "", kOfGroupsPerRead);
+      },
+      &GroupRecord::id, visit);
+}
+
+absl::Status VisitAllMembers(Storage& storage, const std::string& group_id,
+                             const VisitMember& visit) {
+  return VisitPages<GroupMemberRecord>(
+      [&](const std::string& after) {
+        return storage.Groups().ListMembers(group_id, after, kOfGroupsPerRead);
+      },
+      &GroupMemberRecord::vehicle_id, visit);
+}
+
+absl::Status VisitAllLinks(Storage& storage, const std::string& group_id,
+                           const VisitLink& visit) {
+  return VisitPages<GroupLinkRecord>(
+      [&](const std::string& after) {
+        return storage.Groups().ListLinks(group_id, after, kOfGroupsPerRead);
+      },
+      &GroupLinkRecord::id, visit);
+}
+
+// What visits sound records only, and fails with the damage of others.
+template <typename Record>
+std::function<absl::Status(const Record&)> OnlySound(
+    const std::function<absl::Status(const Record&)>& visit) {
+  return [&visit](const Record& record) {
+    return record.damage.ok() ? visit(record) : record.damage;
+  };
+}
+
+// What counts records, and notes the damage of each.
+template <typename Record>
+std::function<absl::Status(const Record&)> Counted(std::int64_t* count,
+                                                   StoreReport* report) {
+  return [count, report](const Record& record) {
+    ++*count;
+    if (!record.damage.ok()) {
+      report->problems.emplace_back(record.damage.message());
+    }
+    return absl::OkStatus();
+  };
+}
+
 }  // namespace
 
 bool HoldTheSame(const StoreReport& a, const StoreReport& b) {
@@ -72,7 +146,8 @@ bool HoldTheSame(const StoreReport& a, const StoreReport& b) {
          a.poses == b.poses && a.revised_batches == b.revised_batches &&
          a.loop_closures == b.loop_closures &&
          a.rejected_candidates == b.rejected_candidates &&
-         a.deleted_pairs == b.deleted_pairs && a.checks == b.checks;
+         a.deleted_pairs == b.deleted_pairs && a.checks == b.checks &&
+         a.groups == b.groups && a.members == b.members && a.links == b.links;
 }
 
 absl::Status VisitPosePairs(
@@ -119,6 +194,38 @@ absl::Status VisitChecks(
     if (absl::Status status = visit(*page); !status.ok()) return status;
     first = page->back().sequence + 1;
   }
+}
+
+absl::Status VisitGroups(Storage& storage, const VisitGroup& visit) {
+  return VisitAllGroups(storage, OnlySound(visit));
+}
+
+absl::Status VisitMembers(Storage& storage, const std::string& group_id,
+                          const VisitMember& visit) {
+  return VisitAllMembers(storage, group_id, OnlySound(visit));
+}
+
+absl::Status VisitLinks(Storage& storage, const std::string& group_id,
+                        const VisitLink& visit) {
+  return VisitAllLinks(storage, group_id, OnlySound(visit));
+}
+
+absl::Status ReportGroups(Storage& storage, StoreReport* report) {
+  const auto count_group = Counted<GroupRecord>(&report->groups, report);
+  return VisitAllGroups(storage, [&](const GroupRecord& group) {
+    absl::Status status = count_group(group);
+    if (status.ok()) {
+      status =
+          VisitAllMembers(storage, group.id,
+                          Counted<GroupMemberRecord>(&report->members, report));
+    }
+    if (status.ok()) {
+      status = VisitAllLinks(storage, group.id,
+                             Counted<GroupLinkRecord>(&report->links, report));
+    }
+    // A group may be deleted since it was listed.
+    return absl::IsNotFound(status) ? absl::OkStatus() : status;
+  });
 }
 
 absl::Status ReportVehicle(Storage& storage, const std::string& id,

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "absl/status/status.h"
+#include "server/storage/group_records.h"
 #include "server/storage/records.h"
 
 namespace revisit::server {
@@ -25,6 +26,10 @@ struct StoreReport {
   std::int64_t deleted_pairs = 0;
   std::int64_t checks = 0;
   std::int64_t snapshots = 0;
+  std::int64_t groups = 0;
+  std::int64_t members = 0;
+  // Of groups.
+  std::int64_t links = 0;
   // Problems for people to read, each in one line.
   std::vector<std::string> problems;
   // Ids of vehicles that cannot be read whole, or that have changes in the
@@ -52,11 +57,28 @@ absl::Status VisitChecks(
     Storage& storage, VehicleKey key,
     const std::function<absl::Status(const std::vector<CheckRecord>&)>& visit);
 
+// The same of groups, by id; of the members of a group, by vehicle; and of its
+// links, by id.
+absl::Status VisitGroups(
+    Storage& storage,
+    const std::function<absl::Status(const GroupRecord&)>& visit);
+absl::Status VisitMembers(
+    Storage& storage, const std::string& group_id,
+    const std::function<absl::Status(const GroupMemberRecord&)>& visit);
+absl::Status VisitLinks(
+    Storage& storage, const std::string& group_id,
+    const std::function<absl::Status(const GroupLinkRecord&)>& visit);
+
 // Reads all of a vehicle, both versions of its batches, and adds what there is
 // to the report's counts, or, if it cannot be read, to its problems. A vehicle
 // that does not exist is NOT_FOUND and leaves the report alone.
 absl::Status ReportVehicle(Storage& storage, const std::string& id,
                            StoreReport* report);
+
+// Reads all groups with their members and links, and adds them to the report's
+// counts, and each that is damaged to its problems. Fails where the storage
+// cannot be read.
+absl::Status ReportGroups(Storage& storage, StoreReport* report);
 
 // Reads a vehicle's snapshot whole, and adds it to the report's counts, or to
 // its damaged ones. A server may replace or remove it meanwhile.

@@ -412,7 +412,7 @@ def test_store_of_an_older_format_is_brought_up_to_date(version, killed, tmp_pat
     with Server(store) as server:
         stub = server.stub()
         assert state_of(stub) == before
-        assert stub.GetServerInfo(api.GetServerInfoRequest()).store_format == 7
+        assert stub.GetServerInfo(api.GetServerInfoRequest()).store_format == 8
         LOOP_CLOSURES.add(stub, VEHICLE, 9, 2)
         server.kill()
     with Server(store) as server:

@@ -270,6 +270,7 @@ class HeldStorage : public Storage {
     if (!status.ok()) return status;
     return storage_->LastEvent();
   }
+  GroupStorage& Groups() override { return storage_->Groups(); }
 
  private:
   struct Fate {

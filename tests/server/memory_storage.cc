@@ -33,6 +33,12 @@ MemoryStorage::Vehicle& MemoryStorage::Find(const std::string& id) {
       ->second;
 }
 
+std::optional<std::string> MemoryStorage::IdOf(VehicleKey key) const {
+  const auto found = vehicles_.find(key);
+  if (found == vehicles_.end()) return std::nullopt;
+  return found->second.record.id;
+}
+
 void MemoryStorage::DamageVehicle(const std::string& id) {
   const std::lock_guard<std::mutex> guard(mutex_);
   VehicleRecord& record = Find(id).record;
@@ -97,6 +103,7 @@ void MemoryStorage::DropDamaged(VehicleKey key, std::uint64_t last_sequence,
     head.checked_sequence = std::min(head.checked_sequence, last_sequence);
     vehicle.checks.erase(vehicle.checks.upper_bound(last_sequence),
                          vehicle.checks.end());
+    groups_.Cut(key, last_sequence);
     return absl::OkStatus();
   }));
 }
@@ -175,6 +182,7 @@ void MemoryStorage::DeleteVehicle(VehicleKey key, EventRecord farewell,
     farewell.number = found == vehicles_.end()
                           ? 0
                           : found->second.record.checks.last_event + 1;
+    groups_.Leave(key);
     erased = vehicles_.erase(key);
     for (EventRecord& event : events_) {
       if (event.position.key == key) event.payload.clear();

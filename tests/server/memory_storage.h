@@ -15,6 +15,7 @@
 #include <vector>
 
 #include "server/storage/storage.h"
+#include "tests/server/memory_groups.h"
 
 namespace revisit::server {
 
@@ -93,6 +94,7 @@ class MemoryStorage : public Storage {
   absl::StatusOr<std::vector<EventRecord>> ReadEvents(
       const EventPosition& after, int limit) override;
   absl::StatusOr<EventPosition> LastEvent() override;
+  GroupStorage& Groups() override { return groups_; }
 
  private:
   struct Batch {
@@ -120,6 +122,8 @@ class MemoryStorage : public Storage {
   absl::Status Change(VehicleKey key, std::uint64_t revision,
                       const std::function<absl::Status(Vehicle&)>& change);
   Vehicle& Find(const std::string& id);
+  // REQUIRES: the mutex is held.
+  std::optional<std::string> IdOf(VehicleKey key) const;
   absl::Status Store(VehicleKey key, const ChecksWrite& write,
                      Vehicle* vehicle);
   void AddEvent(VehicleKey key, EventRecord event);
@@ -132,6 +136,7 @@ class MemoryStorage : public Storage {
   std::vector<EventRecord> events_;
   EventPosition dropped_;
   std::uint64_t last_order_ = 0;
+  MemoryGroups groups_{&mutex_, [this](VehicleKey key) { return IdOf(key); }};
 };
 
 }  // namespace revisit::server

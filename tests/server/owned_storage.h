@@ -271,6 +271,7 @@ class OwnedStorage : public Storage {
   absl::StatusOr<EventPosition> LastEvent() override {
     return storage_->LastEvent();
   }
+  GroupStorage& Groups() override { return storage_->Groups(); }
 
  private:
   static absl::Status Fenced() {

@@ -263,4 +263,65 @@ std::string ToText(const DeletedPairRecord& record) {
          std::to_string(record.delete_time_ns) + " ns";
 }
 
+absl::StatusOr<std::uint64_t> BlockingGroupWrites::Create(
+    const std::string& id, const std::string& payload, const std::string& uid) {
+  GroupRecord group;
+  group.id = id;
+  group.version = {uid, 77};  // The revision is not read.
+  group.payload = payload;
+  const Answer<absl::StatusOr<std::uint64_t>> answer;
+  groups_.CreateGroup(group, answer.Setter());
+  return answer.Get();
+}
+
+absl::StatusOr<std::uint64_t> BlockingGroupWrites::Change(
+    const std::string& id, const std::vector<GroupChange>& changes,
+    const std::optional<GroupVersion>& expected) {
+  const Answer<absl::StatusOr<std::uint64_t>> answer;
+  groups_.ChangeGroup(id, expected, changes, answer.Setter());
+  return answer.Get();
+}
+
+absl::StatusOr<std::uint64_t> BlockingGroupWrites::Delete(
+    const std::string& id, const std::optional<GroupVersion>& expected) {
+  const Answer<absl::StatusOr<std::uint64_t>> answer;
+  groups_.DeleteGroup(id, expected, answer.Setter());
+  return answer.Get();
+}
+
+std::string ToText(const GroupRecord& record) {
+  std::ostringstream text;
+  text << record.id << " " << record.version.uid << ": revision "
+       << record.version.revision << ", '" << record.payload << "'";
+  if (!record.damage.ok()) text << ", damaged";
+  return text.str();
+}
+
+std::string ToText(const GroupMemberRecord& record) {
+  std::ostringstream text;
+  text << record.vehicle_id << ": '" << record.payload << "'";
+  if (!record.damage.ok()) text << ", damaged";
+  return text.str();
+}
+
+std::string ToText(const GroupLinkRecord& record) {
+  std::ostringstream text;
+  text << record.id;
+  if (!record.damage.ok()) {
+    text << ", damaged";
+    return text.str();
+  }
+  text << (record.state == LinkState::kConfirmed   ? ", confirmed: "
+           : record.state == LinkState::kTentative ? ", tentative: "
+                                                   : ", suspect: ")
+       << record.query.sequence << " of " << record.query.vehicle << " at "
+       << record.matched.sequence << " of " << record.matched.vehicle << ", '"
+       << record.payload << "'";
+  return text.str();
+}
+
+std::string ToText(const PlacedLink& record) {
+  return record.group + "/" + ToText(record.link);
+}
+
 }  // namespace revisit::server

@@ -67,6 +67,25 @@ class BlockingWrites {
   Storage* const storage_;
 };
 
+// The writes of a storage's groups, waited for.
+class BlockingGroupWrites {
+ public:
+  explicit BlockingGroupWrites(Storage* storage) : groups_(storage->Groups()) {}
+
+  absl::StatusOr<std::uint64_t> Create(const std::string& id,
+                                       const std::string& payload = "payload",
+                                       const std::string& uid = "uid");
+  absl::StatusOr<std::uint64_t> Change(
+      const std::string& id, const std::vector<GroupChange>& changes,
+      const std::optional<GroupVersion>& expected = std::nullopt);
+  absl::StatusOr<std::uint64_t> Delete(
+      const std::string& id,
+      const std::optional<GroupVersion>& expected = std::nullopt);
+
+ private:
+  GroupStorage& groups_;
+};
+
 // Collects what ReadBatches() visits.
 absl::StatusOr<std::vector<BatchRecord>> ReadAll(
     Storage& storage, VehicleKey key, std::uint64_t first, std::uint64_t last,
@@ -87,6 +106,14 @@ std::string ToText(const CheckRecord& record);
 std::string ToText(const EventRecord& record);
 // "1, closure a: 9 at 2, 7 ns, deleted at 8 ns" and the like.
 std::string ToText(const DeletedPairRecord& record);
+// "id uid: revision 3, 'payload'" and the like.
+std::string ToText(const GroupRecord& record);
+// "truck: 'payload'".
+std::string ToText(const GroupMemberRecord& record);
+// "id, confirmed: 9 of 1 at 2 of 7, 'payload'", with the vehicles' keys.
+std::string ToText(const GroupLinkRecord& record);
+// The group and the link.
+std::string ToText(const PlacedLink& record);
 template <typename T>
 std::vector<std::string> ToTexts(const std::vector<T>& records) {
   std::vector<std::string> texts;

@@ -16,7 +16,8 @@ void Print(const StoreReport& report) {
   std::printf(
       "vehicles %lld\nposes %lld\nbatches %lld\nrevised batches %lld\n"
       "loop closures %lld\nrejected candidates %lld\ndeletions %lld\n"
-      "checks %lld\nsnapshots %lld\n",
+      "checks %lld\nsnapshots %lld\ngroups %lld\nmembers of groups %lld\n"
+      "loop closures of groups %lld\n",
       static_cast<long long>(report.vehicles),
       static_cast<long long>(report.poses),
       static_cast<long long>(report.batches),
@@ -25,7 +26,10 @@ void Print(const StoreReport& report) {
       static_cast<long long>(report.rejected_candidates),
       static_cast<long long>(report.deleted_pairs),
       static_cast<long long>(report.checks),
-      static_cast<long long>(report.snapshots));
+      static_cast<long long>(report.snapshots),
+      static_cast<long long>(report.groups),
+      static_cast<long long>(report.members),
+      static_cast<long long>(report.links));
 }
 
 void Complain(const std::string& message) {

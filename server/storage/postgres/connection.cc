@@ -424,4 +424,20 @@ absl::StatusOr<PostgresRows> PostgresConnection::RunText(
   return Answer("session");
 }
 
+absl::Status InTransaction(PostgresConnection& connection,
+                           const std::function<absl::Status()>& work) {
+  absl::Status status = connection.RunText("BEGIN").status();
+  if (!status.ok()) return status;
+  status = work();
+  if (status.ok()) {
+    const auto committed = connection.RunText("COMMIT");
+    if (!committed.ok()) return committed.status();
+    if (committed->Tag() == "COMMIT") return absl::OkStatus();
+    return Unavailable("the database rolled the change back");
+  }
+  // A connection that cannot roll back is not used again.
+  if (!connection.IsInDoubt()) connection.RunText("ROLLBACK").IgnoreError();
+  return status;
+}
+
 }  // namespace revisit::server

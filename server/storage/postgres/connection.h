@@ -14,6 +14,7 @@
 #include <array>
 #include <atomic>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <set>
 #include <string>
@@ -150,6 +151,12 @@ class PostgresConnection {
   bool in_doubt_ = false;
   Durability durability_;
 };
+
+// Does some work in a transaction, of which each statement sees what was
+// committed before it. The transaction is committed if the work is OK, else
+// rolled back; on a connection that is then in doubt, it ends with that.
+absl::Status InTransaction(PostgresConnection& connection,
+                           const std::function<absl::Status()>& work);
 
 }  // namespace revisit::server
 

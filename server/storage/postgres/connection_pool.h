@@ -36,6 +36,18 @@ class ConnectionPool {
   // UNAVAILABLE (STORE_UNAVAILABLE) where there is none for so long.
   absl::Status Use(
       const std::function<absl::Status(PostgresConnection&)>& work);
+  // As Use(), with an answer.
+  template <typename T>
+  absl::StatusOr<T> Answer(
+      const std::function<absl::StatusOr<T>(PostgresConnection&)>& work) {
+    absl::StatusOr<T> result = T();
+    const absl::Status status = Use([&](PostgresConnection& connection) {
+      result = work(connection);
+      return result.status();
+    });
+    if (!status.ok()) return status;
+    return result;
+  }
 
  private:
   using ConnectionPtr = std::unique_ptr<PostgresConnection>;

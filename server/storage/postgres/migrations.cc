@@ -215,9 +215,99 @@ CREATE TRIGGER remove_checks AFTER DELETE ON vehicles
   FOR EACH ROW EXECUTE FUNCTION remove_checks();
 )";
 
+// Servers of the version before know nothing of groups, so triggers do for all
+// servers what a vehicle's deletion, and the loss of its last poses, means for
+// its groups. What such a trigger reads is new once the vehicle's row is
+// locked: nobody can have added the vehicle to a group unseen
+// (postgres_group_changes.h).
+constexpr char kGroups[] = R"(
+CREATE TABLE vehicle_groups (
+  id text COLLATE "C" PRIMARY KEY,
+  format int NOT NULL,
+  revision bigint NOT NULL,
+  uid text NOT NULL,
+  checksum bigint NOT NULL,
+  payload bytea NOT NULL
+) WITH (fillfactor = 70);
+
+CREATE TABLE group_members (
+  group_id text COLLATE "C" NOT NULL,
+  vehicle_key bigint NOT NULL,
+  format int NOT NULL,
+  checksum bigint NOT NULL,
+  payload bytea NOT NULL,
+  PRIMARY KEY (group_id, vehicle_key)
+);
+CREATE INDEX group_members_by_vehicle ON group_members (vehicle_key, group_id);
+
+CREATE TABLE group_links (
+  group_id text COLLATE "C" NOT NULL,
+  id text COLLATE "C" NOT NULL,
+  format int NOT NULL,
+  state int NOT NULL,
+  query_vehicle bigint NOT NULL,
+  query_sequence bigint NOT NULL,
+  matched_vehicle bigint NOT NULL,
+  matched_sequence bigint NOT NULL,
+  checksum bigint NOT NULL,
+  payload bytea NOT NULL,
+  PRIMARY KEY (group_id, id)
+);
+CREATE INDEX group_links_by_query ON group_links (query_vehicle, group_id, id);
+CREATE INDEX group_links_by_match
+  ON group_links (matched_vehicle, group_id, id);
+
+CREATE FUNCTION leave_groups() RETURNS trigger LANGUAGE plpgsql AS $$
+DECLARE
+  left_group text;
+BEGIN
+  FOR left_group IN SELECT group_id FROM group_members
+      WHERE vehicle_key = OLD.key ORDER BY group_id LOOP
+    PERFORM id FROM vehicle_groups WHERE id = left_group FOR UPDATE;
+    DELETE FROM group_links WHERE group_id = left_group
+      AND (query_vehicle = OLD.key OR matched_vehicle = OLD.key);
+    DELETE FROM group_members
+      WHERE group_id = left_group AND vehicle_key = OLD.key;
+    IF FOUND THEN
+      UPDATE vehicle_groups SET revision = revision + 1 WHERE id = left_group;
+    END IF;
+  END LOOP;
+  RETURN NULL;
+END $$;
+CREATE TRIGGER leave_groups AFTER DELETE ON vehicles
+  FOR EACH ROW EXECUTE FUNCTION leave_groups();
+
+CREATE FUNCTION cut_links() RETURNS trigger LANGUAGE plpgsql AS $$
+DECLARE
+  cut_group text;
+BEGIN
+  FOR cut_group IN SELECT group_id FROM group_links
+      WHERE query_vehicle = NEW.key AND query_sequence > NEW.durable_sequence
+      UNION SELECT group_id FROM group_links
+      WHERE matched_vehicle = NEW.key
+        AND matched_sequence > NEW.durable_sequence
+      ORDER BY group_id LOOP
+    PERFORM id FROM vehicle_groups WHERE id = cut_group FOR UPDATE;
+    DELETE FROM group_links WHERE group_id = cut_group
+      AND ((query_vehicle = NEW.key
+            AND query_sequence > NEW.durable_sequence)
+        OR (matched_vehicle = NEW.key
+            AND matched_sequence > NEW.durable_sequence));
+    IF FOUND THEN
+      UPDATE vehicle_groups SET revision = revision + 1 WHERE id = cut_group;
+    END IF;
+  END LOOP;
+  RETURN NULL;
+END $$;
+CREATE TRIGGER cut_links AFTER UPDATE OF durable_sequence ON heads
+  FOR EACH ROW WHEN (NEW.durable_sequence < OLD.durable_sequence)
+  EXECUTE FUNCTION cut_links();
+)";
+
 // The first makes the tables of kFirstSchemaVersion, each further one those of
 // the next version. One that was released is never changed.
-constexpr const char* kMigrations[] = {kTables, kDeletedPairs, kChecks};
+constexpr const char* kMigrations[] = {kTables, kDeletedPairs, kChecks,
+                                       kGroups};
 static_assert(kFirstSchemaVersion + std::size(kMigrations) - 1 ==
               kSchemaVersion);
 

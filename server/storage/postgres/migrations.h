@@ -22,6 +22,8 @@
 //   dropped_events       one row: the last event that was dropped, with all
 //                        before it; that before all events if none was; since
 //                        version 6
+//   vehicle_groups, group_members, group_links
+//                        as in sqlite_storage.h; since version 7
 //   deleted_vehicles     keys whose batches are still to be removed
 // Rows have the format versions and checksums of record_checksum.h, except
 // those of heads: they are compared with the last batch whenever a vehicle is
@@ -38,11 +40,11 @@
 
 namespace revisit::server {
 
-inline constexpr int kSchemaVersion = 6;
+inline constexpr int kSchemaVersion = 7;
 // Versions before the first were never in a release, and are refused.
 inline constexpr int kFirstSchemaVersion = 4;
 // The oldest that a server takes: the version before the last.
-inline constexpr int kOldestSchemaVersion = 5;
+inline constexpr int kOldestSchemaVersion = 6;
 
 // FAILED_PRECONDITION if this program does not know the tables; the message
 // says what to run.

@@ -41,43 +41,38 @@ constexpr Statement kChangeVehicle = {"change_vehicle",
                                           REVISIT_REPLACE_VEHICLE};
 
 // $11 last sequence, $12 and $13 ids of damaged pairs, $14 numbers of damaged
-// deletions.
-#define REVISIT_DROP_DAMAGED(CHANGES, MORE)                                 \
-  REVISIT_FENCE(", durable_sequence = $11::int8" CHANGES, REVISIT_UNCHANGED \
-                " AND coalesce((SELECT first_sequence + "                   \
-                "least(greatest(count, 1), 1000000) - 1 FROM batches "      \
-                "WHERE vehicle_key = $1::int8 AND first_sequence <= "       \
-                "$11::int8 ORDER BY first_sequence DESC LIMIT 1), 0) = "    \
-                "$11::int8")                                                \
-  REVISIT_FORGET_SNAPSHOT                                                   \
-  ", b AS (DELETE FROM batches t USING h WHERE t.vehicle_key = h.key AND "  \
-  "t.first_sequence > $11::int8), "                                         \
-  "r AS (DELETE FROM revised_batches t USING h WHERE t.vehicle_key = "      \
-  "h.key AND t.first_sequence > $11::int8), "                               \
-  "l AS (DELETE FROM loop_closures t USING h WHERE t.vehicle_key = h.key "  \
-  "AND (greatest(t.query_sequence, t.matched_sequence) > $11::int8 OR "     \
-  "t.id = ANY($12::text[]))), "                                             \
-  "n AS (DELETE FROM rejected_candidates t USING h WHERE t.vehicle_key = "  \
-  "h.key AND (greatest(t.query_sequence, t.matched_sequence) > $11::int8 "  \
-  "OR t.id = ANY($13::text[]))), "                                          \
-  "x AS (DELETE FROM deleted_pose_pairs t USING h WHERE t.vehicle_key = "   \
-  "h.key AND t.number = ANY($14::int8[])) " MORE REVISIT_REPLACE_VEHICLE
-// Without room for checks.
-constexpr Statement kDropDamaged = {"drop_damaged",
-                                    REVISIT_DROP_DAMAGED("", "")};
-// $15 damaged checks, $16 and $17 the checked sequence and the last event that
-// the rows tell of: where a head that was lost came back without them, it gets
-// these.
-constexpr Statement kDropDamagedChecks = {
-    "drop_damaged_checks",
-    REVISIT_DROP_DAMAGED(
-        ", checks_stored = checks_stored OR last_event < $17::int8, "
+// deletions, $15 damaged checks, $16 and $17 the checked sequence and the last
+// event that the rows tell of: where a head that was lost came back without
+// them, it gets these.
+constexpr Statement kDropDamaged = {
+    "drop_damaged",
+    REVISIT_FENCE(
+        ", durable_sequence = $11::int8, "
+        "checks_stored = checks_stored OR last_event < $17::int8, "
         "checked_sequence = least($11::int8, CASE WHEN last_event < $17::int8 "
         "THEN $16::int8 ELSE checked_sequence END), "
         "last_event = greatest(last_event, $17::int8)",
-        ", c AS (DELETE FROM checks t USING h WHERE t.vehicle_key = h.key AND "
-        "(t.sequence > $11::int8 OR t.sequence = ANY($15::int8[]))) ")};
-#undef REVISIT_DROP_DAMAGED
+        REVISIT_UNCHANGED
+        " AND coalesce((SELECT first_sequence + "
+        "least(greatest(count, 1), 1000000) - 1 FROM batches "
+        "WHERE vehicle_key = $1::int8 AND first_sequence <= $11::int8 "
+        "ORDER BY first_sequence DESC LIMIT 1), 0) = $11::int8")
+        REVISIT_FORGET_SNAPSHOT
+    ", b AS (DELETE FROM batches t USING h WHERE t.vehicle_key = h.key AND "
+    "t.first_sequence > $11::int8), "
+    "r AS (DELETE FROM revised_batches t USING h WHERE t.vehicle_key = h.key "
+    "AND t.first_sequence > $11::int8), "
+    "l AS (DELETE FROM loop_closures t USING h WHERE t.vehicle_key = h.key "
+    "AND (greatest(t.query_sequence, t.matched_sequence) > $11::int8 OR "
+    "t.id = ANY($12::text[]))), "
+    "n AS (DELETE FROM rejected_candidates t USING h WHERE t.vehicle_key = "
+    "h.key AND (greatest(t.query_sequence, t.matched_sequence) > $11::int8 "
+    "OR t.id = ANY($13::text[]))), "
+    "x AS (DELETE FROM deleted_pose_pairs t USING h WHERE t.vehicle_key = "
+    "h.key AND t.number = ANY($14::int8[])), "
+    "c AS (DELETE FROM checks t USING h WHERE t.vehicle_key = h.key AND "
+    "(t.sequence > $11::int8 OR t.sequence = "
+    "ANY($15::int8[]))) " REVISIT_REPLACE_VEHICLE};
 constexpr Statement kRaiseRevision = {
     "raise_revision", REVISIT_FENCE("", "") "SELECT key FROM h"};
 constexpr Statement kHeadHolds = {
@@ -91,7 +86,8 @@ constexpr Statement kHeadHolds = {
   "WHERE t.vehicle_key = h.key), "                                           \
   "o AS (DELETE FROM handovers t USING h WHERE t.key = h.key) " MORE         \
   "INSERT INTO deleted_vehicles (key) SELECT key FROM h RETURNING key"
-// Deleted pairs, checks and the payloads of events go with the row in vehicles.
+// Deleted pairs, checks, the payloads of events, and what groups have of the
+// vehicle go with the row in vehicles.
 constexpr Statement kRemoveVehicle = {"remove_vehicle",
                                       REVISIT_REMOVE_VEHICLE("")};
 // $5 number, $6 format, $7 time, $8 checksum, $9 payload.
@@ -236,13 +232,6 @@ const PairStatements& StatementsOf(PairKind kind) {
   return kind == PairKind::kLoopClosure ? kClosures : kRejections;
 }
 
-absl::Status WhyPairFailed(PostgresConnection& connection, const Fence& fence,
-                           const std::optional<ChecksWrite>& checks,
-                           absl::Status failure) {
-  return checks ? WhyChecksFailed(connection, fence, std::move(failure))
-                : failure;
-}
-
 // Why a pair was not written: `otherwise` if it is there as `was_there` says,
 // else because of the checks that go with it.
 absl::Status WhyPairNotWritten(PostgresConnection& connection,
@@ -378,28 +367,16 @@ absl::Status Replace(PostgresConnection& connection, VehicleKey key,
 absl::Status ChangeBatches(PostgresConnection& connection, const Fence& fence,
                            std::uint64_t revision,
                            const std::function<absl::Status()>& change) {
-  absl::Status status = connection.RunText("BEGIN").status();
-  if (!status.ok()) return status;
-  // The fence comes first: from here on nobody can claim the vehicle.
-  const auto head = connection.Run(kRaiseRevision, FenceOf(fence, revision));
-  status = head.status();
-  const bool holds = head.ok() && head->size() > 0;
-  if (holds) status = change();
-  if (holds && status.ok()) {
-    const auto committed = connection.RunText("COMMIT");
-    if (!committed.ok()) return committed.status();
-    if (committed->Tag() == "COMMIT") {
-      NoteWritten(fence, revision);
-      return absl::OkStatus();
-    }
-    return Error(absl::StatusCode::kUnavailable, "STORE_UNAVAILABLE",
-                 "the database rolled the change back");
-  }
-  // A connection that cannot roll back is not used again.
-  const bool in_doubt = connection.IsInDoubt();
-  if (!in_doubt) connection.RunText("ROLLBACK").IgnoreError();
-  if (!status.ok()) return status;
-  return WhyNotWritten(connection, fence, Fenced("the vehicle"));
+  bool holds = true;
+  const absl::Status status = InTransaction(connection, [&] {
+    // The fence comes first: from here on nobody can claim the vehicle.
+    const auto head = connection.Run(kRaiseRevision, FenceOf(fence, revision));
+    if (!head.ok()) return head.status();
+    holds = head->size() > 0;
+    return holds ? change() : Fenced("the vehicle");
+  });
+  if (status.ok()) NoteWritten(fence, revision);
+  return holds ? status : WhyNotWritten(connection, fence, status);
 }
 
 }  // namespace
@@ -442,17 +419,12 @@ absl::Status ChangeVehicle(PostgresConnection& connection, const Fence& fence,
 
 absl::Status RemoveVehicle(PostgresConnection& connection, const Fence& fence,
                            EventRecord farewell) {
-  const absl::StatusOr<bool> keeps = KeepsChecks(connection);
-  if (!keeps.ok()) return keeps.status();
-  std::uint64_t last_event = 0;
-  if (*keeps) {
-    // The rows tell more than a head that was lost and came back.
-    const absl::StatusOr<ChecksHead> rows = HeadOfRows(connection, fence.key);
-    if (!rows.ok()) return rows.status();
-    const absl::StatusOr<ChecksHead> head = FindChecksHead(connection, fence);
-    if (!head.ok()) return head.status();
-    last_event = std::max(rows->last_event, head->last_event);
-  }
+  // The rows tell more than a head that was lost and came back.
+  const absl::StatusOr<ChecksHead> told = HeadOfRows(connection, fence.key);
+  if (!told.ok()) return told.status();
+  const absl::StatusOr<ChecksHead> head = FindChecksHead(connection, fence);
+  if (!head.ok()) return head.status();
+  const std::uint64_t last_event = std::max(told->last_event, head->last_event);
   Parameters parameters = FenceOf(fence);
   if (last_event > 0) {
     farewell.number = last_event + 1;
@@ -511,19 +483,14 @@ absl::Status DropDamagedRows(PostgresConnection& connection, const Fence& fence,
     if (!deleted.pair.damage.ok()) damaged.push_back(Signed(deleted.number));
   }
   parameters.Add(damaged);
-  const absl::StatusOr<bool> keeps = KeepsChecks(connection);
-  if (!keeps.ok()) return keeps.status();
-  if (*keeps) {
-    const auto checks = DamagedChecks(connection, fence.key);
-    if (!checks.ok()) return checks.status();
-    const absl::StatusOr<ChecksHead> told = HeadOfRows(connection, fence.key);
-    if (!told.ok()) return told.status();
-    parameters.Add(*checks)
-        .Add(Signed(told->checked_sequence))
-        .Add(Signed(told->last_event));
-  }
-  const auto rows =
-      connection.Run(*keeps ? kDropDamagedChecks : kDropDamaged, parameters);
+  const auto checks = DamagedChecks(connection, fence.key);
+  if (!checks.ok()) return checks.status();
+  const absl::StatusOr<ChecksHead> told = HeadOfRows(connection, fence.key);
+  if (!told.ok()) return told.status();
+  parameters.Add(*checks)
+      .Add(Signed(told->checked_sequence))
+      .Add(Signed(told->last_event));
+  const auto rows = connection.Run(kDropDamaged, parameters);
   if (!rows.ok()) return rows.status();
   if (rows->size() > 0) {
     NoteWritten(fence, revision);
@@ -548,8 +515,7 @@ absl::Status InsertPosePair(PostgresConnection& connection, const Fence& fence,
   if (checks) AddChecks(fence.key, *checks, &parameters);
   const auto rows = connection.Run(
       checks ? statements.insert_with_checks : statements.insert, parameters);
-  if (!rows.ok())
-    return WhyPairFailed(connection, fence, checks, rows.status());
+  if (!rows.ok()) return rows.status();
   if (rows->size() > 0) {
     NoteWritten(fence, revision);
     return absl::OkStatus();
@@ -584,8 +550,7 @@ absl::Status RemovePosePair(PostgresConnection& connection, const Fence& fence,
   if (checks) AddChecks(fence.key, *checks, &parameters);
   const auto rows = connection.Run(
       checks ? statements.remove_with_checks : statements.remove, parameters);
-  if (!rows.ok())
-    return WhyPairFailed(connection, fence, checks, rows.status());
+  if (!rows.ok()) return rows.status();
   if (rows->size() > 0) {
     NoteWritten(fence, revision);
     return absl::OkStatus();

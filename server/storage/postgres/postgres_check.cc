@@ -3,7 +3,7 @@
 #include <memory>
 
 #include "server/storage/postgres/connection.h"
-#include "server/storage/postgres/postgres_checks.h"
+#include "server/storage/postgres/postgres_group_reads.h"
 #include "server/storage/postgres/postgres_reader.h"
 #include "server/storage/storage.h"
 
@@ -57,19 +57,30 @@ constexpr LeftOver kLeftOvers[] = {
       "= p.snapshot_key) AND NOT EXISTS (SELECT 1 FROM deleted_snapshots d "
       "WHERE d.key = p.snapshot_key))"},
      "snapshots or parts of snapshots belong to no vehicle"},
+    {{"checks_left_over",
+      "SELECT count(*) FROM checks c WHERE NOT EXISTS (SELECT 1 FROM vehicles "
+      "v WHERE v.key = c.vehicle_key)"},
+     "checks belong to no vehicle"},
+    {{"events_beyond",
+      "SELECT count(*) FROM events e JOIN heads h ON h.key = e.vehicle_key "
+      "WHERE e.number > h.last_event"},
+     "events are beyond the last one that their vehicle's head tells of"},
 };
 
-// Those of tables that have room for checks.
-constexpr LeftOver kChecksLeftOver = {
-    {"checks_left_over",
-     "SELECT count(*) FROM checks c WHERE NOT EXISTS (SELECT 1 FROM vehicles v "
-     "WHERE v.key = c.vehicle_key)"},
-    "checks belong to no vehicle"};
-constexpr LeftOver kEventsBeyond = {
-    {"events_beyond",
-     "SELECT count(*) FROM events e JOIN heads h ON h.key = e.vehicle_key "
-     "WHERE e.number > h.last_event"},
-    "events are beyond the last one that their vehicle's head tells of"};
+// Those of tables that have room for groups.
+constexpr LeftOver kMembersLeftOver = {
+    {"members_left_over",
+     "SELECT count(*) FROM group_members m WHERE NOT EXISTS (SELECT 1 FROM "
+     "vehicle_groups g WHERE g.id = m.group_id) OR NOT EXISTS (SELECT 1 FROM "
+     "vehicles v WHERE v.key = m.vehicle_key)"},
+    "members belong to no group or are no vehicle"};
+constexpr LeftOver kLinksLeftOver = {
+    {"links_left_over",
+     "SELECT count(*) FROM group_links l WHERE NOT EXISTS (SELECT 1 FROM "
+     "group_members m WHERE m.group_id = l.group_id AND m.vehicle_key = "
+     "l.query_vehicle) OR NOT EXISTS (SELECT 1 FROM group_members m WHERE "
+     "m.group_id = l.group_id AND m.vehicle_key = l.matched_vehicle)"},
+    "loop closures of groups name vehicles that are no members"};
 
 absl::Status CountLeftOver(PostgresConnection& connection,
                            const LeftOver& left_over, StoreReport* report) {
@@ -113,9 +124,11 @@ absl::StatusOr<StoreReport> CheckDatabase(const std::string& conninfo) {
     absl::Status status = CountLeftOver(**connection, left_over, &report);
     if (!status.ok()) return status;
   }
-  const absl::StatusOr<bool> keeps = KeepsChecks(**connection);
+  const absl::Status groups = ReportGroups(**storage, &report);
+  if (!groups.ok()) return groups;
+  const absl::StatusOr<bool> keeps = KeepsGroups(**connection);
   if (!keeps.ok()) return keeps.status();
-  for (const LeftOver& left_over : {kChecksLeftOver, kEventsBeyond}) {
+  for (const LeftOver& left_over : {kMembersLeftOver, kLinksLeftOver}) {
     if (!*keeps) break;
     absl::Status status = CountLeftOver(**connection, left_over, &report);
     if (!status.ok()) return status;

@@ -14,13 +14,6 @@
 namespace revisit::server {
 namespace {
 
-constexpr Statement kKeepsChecks = {
-    "keeps_checks", "SELECT to_regclass('dropped_events') IS NOT NULL"};
-
-// For tables without room for checks.
-constexpr Statement kHasVehicle = {
-    "has_vehicle", "SELECT key FROM vehicles WHERE key = $1::int8"};
-
 constexpr Statement kPutChecks = {
     "put_checks",
     REVISIT_FENCE(REVISIT_CHECKS_CHANGES("$6"), REVISIT_CHECKS_CONDITIONS("$6"))
@@ -171,30 +164,12 @@ void AddChecks(VehicleKey key, const ChecksWrite& write,
       .AddBytes(event_payloads);
 }
 
-absl::StatusOr<bool> KeepsChecks(PostgresConnection& connection) {
-  const auto rows = connection.Run(kKeepsChecks);
-  if (!rows.ok()) return rows.status();
-  return rows->Integer(0, 0) != 0;
-}
-
-absl::Status WhyChecksFailed(PostgresConnection& connection, const Fence& fence,
-                             absl::Status failure) {
-  if (!absl::IsInternal(failure)) return failure;
-  const absl::StatusOr<bool> keeps = KeepsChecks(connection);
-  if (!keeps.ok() || *keeps) return failure;
-  return WhyNotWritten(
-      connection, fence,
-      Error(absl::StatusCode::kFailedPrecondition, "STORE_UNAVAILABLE",
-            "the database's tables have no room for checks: run `revisitd "
-            "migrate --store URL`"));
-}
-
 absl::Status StoreChecks(PostgresConnection& connection, const Fence& fence,
                          const ChecksWrite& write) {
   Parameters parameters = FenceOf(fence, /*revision=*/0);
   AddChecks(fence.key, write, &parameters);
   const auto rows = connection.Run(kPutChecks, parameters);
-  if (!rows.ok()) return WhyChecksFailed(connection, fence, rows.status());
+  if (!rows.ok()) return rows.status();
   if (rows->size() > 0) return absl::OkStatus();
   const absl::StatusOr<ChecksHead> head = FindChecksHead(connection, fence);
   if (!head.ok()) return head.status();
@@ -203,8 +178,6 @@ absl::Status StoreChecks(PostgresConnection& connection, const Fence& fence,
 
 absl::Status DropOldEvents(PostgresConnection& connection,
                            std::int64_t before_ns, int most) {
-  const absl::StatusOr<bool> keeps = KeepsChecks(connection);
-  if (!keeps.ok() || !*keeps) return keeps.status();
   const absl::Status status = connection.Run(kDropForeignEvents).status();
   if (!status.ok()) return status;
   return connection
@@ -248,14 +221,6 @@ absl::StatusOr<std::vector<CheckRecord>> FindChecks(
     std::uint64_t first_sequence, std::uint64_t last_sequence, bool open_only,
     int limit) {
   std::vector<CheckRecord> checks;
-  const absl::StatusOr<bool> keeps = KeepsChecks(connection);
-  if (!keeps.ok()) return keeps.status();
-  if (!*keeps) {
-    const auto vehicle = connection.Run(kHasVehicle, Parameters().Add(key));
-    if (!vehicle.ok()) return vehicle.status();
-    if (vehicle->size() == 0) return UnknownVehicle(key);
-    return checks;
-  }
   const auto rows = connection.Run(
       kListChecks, Parameters()
                        .Add(key)
@@ -284,9 +249,6 @@ absl::StatusOr<std::vector<VehicleRecord>> FindUnchecked(
     PostgresConnection& connection, const Uuid& server, VehicleKey after_key,
     int limit) {
   std::vector<VehicleRecord> owing;
-  const absl::StatusOr<bool> keeps = KeepsChecks(connection);
-  if (!keeps.ok()) return keeps.status();
-  if (!*keeps) return owing;
   const auto rows =
       connection.Run(kListUnchecked, Parameters()
                                          .Add(after_key)
@@ -306,12 +268,6 @@ absl::StatusOr<std::vector<VehicleRecord>> FindUnchecked(
 absl::StatusOr<std::vector<EventRecord>> FindEvents(
     PostgresConnection& connection, const EventPosition& after, int limit) {
   std::vector<EventRecord> events;
-  const absl::StatusOr<bool> keeps = KeepsChecks(connection);
-  if (!keeps.ok()) return keeps.status();
-  if (!*keeps) {
-    if (after == EventPosition()) return events;
-    return CursorUnknown();
-  }
   const auto rows = connection.Run(
       kReadEvents, Parameters()
                        .Add(Signed(std::min(after.order, kLastSequence)))
@@ -341,9 +297,6 @@ absl::StatusOr<std::vector<EventRecord>> FindEvents(
 }
 
 absl::StatusOr<EventPosition> FindLastEvent(PostgresConnection& connection) {
-  const absl::StatusOr<bool> keeps = KeepsChecks(connection);
-  if (!keeps.ok()) return keeps.status();
-  if (!*keeps) return EventPosition();
   const auto rows = connection.Run(kLastEvent);
   if (!rows.ok()) return rows.status();
   if (rows->size() == 0) return NoMark();

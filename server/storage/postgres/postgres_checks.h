@@ -76,15 +76,6 @@ namespace revisit::server {
 void AddChecks(VehicleKey key, const ChecksWrite& write,
                Parameters* parameters);
 
-// ---- Whether there is room
-
-// Tables of the version before the last have no room for checks and events.
-absl::StatusOr<bool> KeepsChecks(PostgresConnection& connection);
-// Why a statement that stores checks failed: FAILED_PRECONDITION
-// (STORE_UNAVAILABLE) where there is no room for them, else `failure`.
-absl::Status WhyChecksFailed(PostgresConnection& connection, const Fence& fence,
-                             absl::Status failure);
-
 // ---- Writes
 
 // Implements Storage::PutChecks().
@@ -96,7 +87,7 @@ absl::Status StoreChecks(PostgresConnection& connection, const Fence& fence,
 absl::Status DropOldEvents(PostgresConnection& connection,
                            std::int64_t before_ns, int most);
 
-// ---- Reads; REQUIRES of the first three that KeepsChecks().
+// ---- Reads
 
 // The head of the vehicle, if it is there; as GoneVehicle() otherwise.
 absl::StatusOr<ChecksHead> FindChecksHead(PostgresConnection& connection,
@@ -108,8 +99,7 @@ absl::StatusOr<ChecksHead> HeadOfRows(PostgresConnection& connection,
 absl::StatusOr<std::vector<std::int64_t>> DamagedChecks(
     PostgresConnection& connection, VehicleKey key);
 
-// These implement the calls of Storage; where there is no room for checks and
-// events, there are none.
+// These implement the calls of Storage.
 absl::StatusOr<std::vector<CheckRecord>> FindChecks(
     PostgresConnection& connection, VehicleKey key,
     std::uint64_t first_sequence, std::uint64_t last_sequence, bool open_only,

@@ -9,7 +9,8 @@
 #include "server/base/status.h"
 #include "server/storage/postgres/connection.h"
 #include "server/storage/postgres/migrations.h"
-#include "server/storage/postgres/postgres_checks.h"
+#include "server/storage/postgres/postgres_group_changes.h"
+#include "server/storage/postgres/postgres_group_reads.h"
 #include "server/storage/record_check.h"
 #include "server/storage/record_checksum.h"
 
@@ -73,7 +74,7 @@ constexpr Statement kIsEmpty = {
     "is_empty",
     "SELECT NOT EXISTS (SELECT 1 FROM vehicles) AND NOT EXISTS (SELECT 1 FROM "
     "batches) AND NOT EXISTS (SELECT 1 FROM deleted_vehicles) AND NOT EXISTS "
-    "(SELECT 1 FROM events)"};
+    "(SELECT 1 FROM events) AND NOT EXISTS (SELECT 1 FROM vehicle_groups)"};
 
 class PostgresIntake : public StoreIntake {
  public:
@@ -168,6 +169,20 @@ class PostgresIntake : public StoreIntake {
     return status;
   }
 
+  absl::Status AddGroup(const GroupRecord& group) override {
+    return InsertGroup(*connection_, group).status();
+  }
+
+  absl::Status AddMember(const std::string& group_id,
+                         const GroupMemberRecord& member) override {
+    return InsertMemberRow(*connection_, group_id, member);
+  }
+
+  absl::Status AddLink(const std::string& group_id,
+                       const GroupLinkRecord& link) override {
+    return InsertLinkRow(*connection_, group_id, link);
+  }
+
   absl::Status Commit() override {
     absl::Status status = EndVehicle();
     if (status.ok() && highest_key_ > 0) {
@@ -246,14 +261,8 @@ absl::StatusOr<std::unique_ptr<StoreIntake>> FillDatabase(
   if (!connection.ok()) return connection.status();
   absl::Status status = CheckSchema(**connection);
   if (!status.ok()) return status;
-  const absl::StatusOr<bool> keeps = KeepsChecks(**connection);
-  if (!keeps.ok()) return keeps.status();
-  if (!*keeps) {
-    return Error(absl::StatusCode::kFailedPrecondition, "STORE_UNAVAILABLE",
-                 "the tables of " + WithoutSecrets(conninfo) +
-                     " have no room for stored checks: run `revisitd migrate "
-                     "--store URL` first");
-  }
+  status = CheckKeepsGroups(**connection);
+  if (!status.ok()) return status;
   status =
       (*connection)
           ->RunText("BEGIN; LOCK TABLE vehicles IN SHARE ROW EXCLUSIVE MODE")

@@ -22,8 +22,11 @@ absl::StatusOr<PostgresDatabase> LookAtDatabase(const std::string& conninfo) {
   return PostgresDatabase{conninfo, (*connection)->durability()};
 }
 
-PostgresReader::PostgresReader(PostgresDatabase database)
-    : database_(std::move(database)), connections_(database_.conninfo, {}) {}
+PostgresReader::PostgresReader(PostgresDatabase database,
+                               PostgresWriter* group_writer)
+    : database_(std::move(database)),
+      connections_(database_.conninfo, {}),
+      groups_(&connections_, group_writer) {}
 
 absl::StatusOr<VehicleRecord> PostgresReader::GetVehicle(
     const std::string& id) {

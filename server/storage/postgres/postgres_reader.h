@@ -15,6 +15,7 @@
 #include "absl/strings/string_view.h"
 #include "server/storage/postgres/connection.h"
 #include "server/storage/postgres/connection_pool.h"
+#include "server/storage/postgres/postgres_groups.h"
 #include "server/storage/storage.h"
 
 namespace revisit::server {
@@ -53,6 +54,7 @@ class PostgresReader : public Storage {
   absl::StatusOr<std::vector<EventRecord>> ReadEvents(
       const EventPosition& after, int limit) override;
   absl::StatusOr<EventPosition> LastEvent() override;
+  GroupStorage& Groups() override { return groups_; }
   bool KeepsSnapshots() const override { return true; }
   absl::StatusOr<std::optional<SnapshotRecord>> GetSnapshot(
       VehicleKey key) override;
@@ -67,7 +69,10 @@ class PostgresReader : public Storage {
   // default.
   virtual Uuid Self() const { return {}; }
 
-  explicit PostgresReader(PostgresDatabase database);
+  // `group_writer`, which outlives all calls, is that of groups; null where
+  // nothing is written.
+  explicit PostgresReader(PostgresDatabase database,
+                          PostgresWriter* group_writer = nullptr);
 
   const PostgresDatabase& database() const { return database_; }
 
@@ -75,19 +80,13 @@ class PostgresReader : public Storage {
   template <typename T>
   absl::StatusOr<T> Read(
       const std::function<absl::StatusOr<T>(PostgresConnection&)>& read) {
-    absl::StatusOr<T> result = T();
-    const absl::Status status =
-        connections_.Use([&](PostgresConnection& connection) {
-          result = read(connection);
-          return result.status();
-        });
-    if (!status.ok()) return status;
-    return result;
+    return connections_.Answer<T>(read);
   }
 
  private:
   const PostgresDatabase database_;
   ConnectionPool connections_;
+  PostgresGroups groups_;
 };
 
 // Opens the storage for reading, without joining the servers. Writes are

@@ -14,21 +14,17 @@ namespace {
 // Batches that one statement reads.
 constexpr int kBatchesAtOnce = 64;
 
-// A vehicle with its head, its last batch and its counts, as of one moment. The
-// columns of heads about checks are read in a way that tables of version 5,
-// which lack them, allow.
-#define REVISIT_SELECT_VEHICLE                                            \
-  "SELECT v.key, v.id, v.format, v.revision, v.checksum, v.payload, "     \
-  "h.durable_sequence, h.revision, "                                      \
-  "(SELECT count(*) FROM loop_closures p WHERE p.vehicle_key = v.key), "  \
-  "(SELECT count(*) FROM rejected_candidates p "                          \
-  "WHERE p.vehicle_key = v.key), "                                        \
-  "b.first_sequence, b.count, b.format, b.revision, b.checksum, "         \
-  "b.payload, coalesce((to_jsonb(h) ->> 'checks_stored')::bool, false), " \
-  "coalesce((to_jsonb(h) ->> 'checked_sequence')::int8, 0), "             \
-  "coalesce((to_jsonb(h) ->> 'last_event')::int8, 0) "                    \
-  "FROM vehicles v LEFT JOIN heads h ON h.key = v.key "                   \
-  "LEFT JOIN LATERAL (SELECT * FROM batches WHERE vehicle_key = v.key "   \
+// A vehicle with its head, its last batch and its counts, as of one moment.
+#define REVISIT_SELECT_VEHICLE                                           \
+  "SELECT v.key, v.id, v.format, v.revision, v.checksum, v.payload, "    \
+  "h.durable_sequence, h.revision, "                                     \
+  "(SELECT count(*) FROM loop_closures p WHERE p.vehicle_key = v.key), " \
+  "(SELECT count(*) FROM rejected_candidates p "                         \
+  "WHERE p.vehicle_key = v.key), "                                       \
+  "b.first_sequence, b.count, b.format, b.revision, b.checksum, "        \
+  "b.payload, h.checks_stored, h.checked_sequence, h.last_event "        \
+  "FROM vehicles v LEFT JOIN heads h ON h.key = v.key "                  \
+  "LEFT JOIN LATERAL (SELECT * FROM batches WHERE vehicle_key = v.key "  \
   "ORDER BY first_sequence DESC LIMIT 1) b ON true "
 constexpr Statement kFindVehicle = {
     "find_vehicle", REVISIT_SELECT_VEHICLE "WHERE v.id = $1::text"};

@@ -22,23 +22,34 @@ using absl::StatusCode;
 // How old the size of the database may be.
 constexpr std::chrono::minutes kSizePeriod{1};
 
+PostgresWriter::Options WriterOptions(const PostgresOptions& options,
+                                      const std::string& conninfo) {
+  PostgresWriter::Options writer;
+  static_cast<WriteGroupOptions&>(writer) = options;
+  writer.conninfo = conninfo;
+  writer.require_replicated = options.require_replicated;
+  return writer;
+}
+
 class PostgresStorage : public PostgresReader {
  public:
+  // Groups have a writer of their own, so that no vehicle waits while another
+  // server holds a group.
   PostgresStorage(PostgresDatabase found, const PostgresOptions& options,
-                  std::unique_ptr<Ownership> ownership)
-      : PostgresReader(std::move(found)),
+                  std::unique_ptr<Ownership> ownership,
+                  std::unique_ptr<PostgresWriter> group_writer)
+      : PostgresReader(std::move(found), group_writer.get()),
         options_(options),
         ownership_(std::move(ownership)) {
-    PostgresWriter::Options writer;
-    static_cast<WriteGroupOptions&>(writer) = options;
-    writer.conninfo = database().conninfo;
-    writer.require_replicated = options.require_replicated;
+    PostgresWriter::Options writer =
+        WriterOptions(options, database().conninfo);
     for (int i = 0; i < std::max(1, options.writer_connections); ++i) {
       writer.purges_first = i == 0;
       writer.size_period = i == 0 ? kSizePeriod : std::chrono::milliseconds(0);
       writers_.push_back(
           std::make_unique<PostgresWriter>(writer, ownership_.get()));
     }
+    writers_.push_back(std::move(group_writer));
   }
 
   // The writes are settled before the ownership ends.
@@ -340,7 +351,7 @@ class PostgresStorage : public PostgresReader {
  private:
   // All writes of a vehicle go the same way.
   PostgresWriter& WriterOf(VehicleKey key) {
-    return *writers_[static_cast<std::size_t>(key) % writers_.size()];
+    return *writers_[static_cast<std::size_t>(key) % (writers_.size() - 1)];
   }
 
   absl::StatusOr<VehicleRecord> Take(PostgresConnection& connection,
@@ -364,6 +375,7 @@ class PostgresStorage : public PostgresReader {
   const PostgresOptions options_;
   // Outlives the writers.
   const std::unique_ptr<Ownership> ownership_;
+  // The last one is that of groups.
   std::vector<std::unique_ptr<PostgresWriter>> writers_;
 };
 
@@ -387,8 +399,11 @@ absl::StatusOr<std::unique_ptr<Storage>> OpenPostgresStorage(
   }
   auto ownership = Ownership::Join(conninfo, options.ownership);
   if (!ownership.ok()) return ownership.status();
-  return std::unique_ptr<Storage>(new PostgresStorage(
-      *std::move(database), options, *std::move(ownership)));
+  auto group_writer = std::make_unique<PostgresWriter>(
+      WriterOptions(options, database->conninfo), ownership->get());
+  return std::unique_ptr<Storage>(
+      new PostgresStorage(*std::move(database), options, *std::move(ownership),
+                          std::move(group_writer)));
 }
 
 }  // namespace revisit::server

@@ -23,6 +23,18 @@ class ReaderPool {
   // Runs `read` on a connection of its own, all of it at one moment of the
   // store.
   absl::Status Read(const std::function<absl::Status(SqliteDatabase&)>& read);
+  // As Read(), with an answer.
+  template <typename T>
+  absl::StatusOr<T> Answer(
+      const std::function<absl::StatusOr<T>(SqliteDatabase&)>& read) {
+    absl::StatusOr<T> result = T();
+    const absl::Status status = Read([&](SqliteDatabase& database) {
+      result = read(database);
+      return result.status();
+    });
+    if (!status.ok()) return status;
+    return result;
+  }
 
   // REQUIRES: nothing is read any more.
   void CloseAll();

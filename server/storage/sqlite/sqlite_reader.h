@@ -16,6 +16,7 @@
 #include "absl/strings/string_view.h"
 #include "server/storage/sqlite/reader_pool.h"
 #include "server/storage/sqlite/sqlite_database.h"
+#include "server/storage/sqlite/sqlite_groups.h"
 #include "server/storage/storage.h"
 
 namespace revisit::server {
@@ -53,16 +54,20 @@ class SqliteReader : public Storage {
       VehicleKey key, std::uint32_t first, std::uint32_t end,
       const std::function<bool(absl::string_view)>& visit) override;
   std::optional<StorageRoom> GetRoom() const override;
+  GroupStorage& Groups() override { return groups_; }
 
  protected:
   // `anchor` is a connection that reads. It keeps the log's index in shared
   // memory while a writer is opened anew: otherwise it would be made from the
-  // log, including failed transactions.
+  // log, including failed transactions. `writer`, which outlives all calls, is
+  // that of groups; null where nothing is written.
   SqliteReader(std::string path, std::unique_ptr<SqliteDatabase> anchor,
-               SqliteDatabase::Mode mode, const std::string& vfs)
+               SqliteDatabase::Mode mode, const std::string& vfs,
+               SqliteWriter* writer = nullptr)
       : path_(std::move(path)),
         anchor_(std::move(anchor)),
-        readers_(path_, mode, vfs) {}
+        readers_(path_, mode, vfs),
+        groups_(&readers_, writer) {}
 
   // Closes all connections, for a writer whose own is to be the last that
   // closes. REQUIRES: nothing is read any more.
@@ -76,18 +81,13 @@ class SqliteReader : public Storage {
   template <typename T>
   absl::StatusOr<T> Read(
       const std::function<absl::StatusOr<T>(SqliteDatabase&)>& read) {
-    absl::StatusOr<T> result = T();
-    const absl::Status status = readers_.Read([&](SqliteDatabase& database) {
-      result = read(database);
-      return result.status();
-    });
-    if (!status.ok()) return status;
-    return result;
+    return readers_.Answer<T>(read);
   }
 
   const std::string path_;
   std::unique_ptr<SqliteDatabase> anchor_;
   ReaderPool readers_;
+  SqliteGroups groups_;
 };
 
 // Opens a store of this format for reading, in a mode that only reads;

@@ -30,7 +30,7 @@ class SqliteStorage : public SqliteReader {
                 std::unique_ptr<SqliteDatabase> anchor, const std::string& vfs,
                 std::int64_t min_free_bytes)
       : SqliteReader(std::move(path), std::move(anchor),
-                     SqliteDatabase::Mode::kReadOnly, vfs),
+                     SqliteDatabase::Mode::kReadOnly, vfs, writer.get()),
         min_free_bytes_(min_free_bytes),
         writer_(std::move(writer)) {}
 

@@ -52,6 +52,10 @@
 //                        but for the last one; since format 7
 //   dropped_events       at most one row: the last event that was dropped, with
 //                        all before it; since format 7
+//   vehicle_groups       a row per group; since format 8
+//   group_members        a row per vehicle in a group; since format 8
+//   group_links          a row per loop closure between members of a group;
+//                        since format 8
 //   deleted_vehicles     keys whose batches are still to be removed, a few at
 //                        a time
 //   store                one row: which store this is, and the number of its

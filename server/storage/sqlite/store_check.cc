@@ -47,6 +47,8 @@ class Checker {
       for (const std::string& problem : *structure) Note(problem);
     }
     for (const auto& [key, id] : Vehicles()) CheckVehicle(key, id);
+    const absl::Status groups = ReportGroups(*storage_, &report_);
+    if (!groups.ok()) Note(groups);
     CheckNoneIsLeftOver();
     return std::move(report_);
   }
@@ -122,6 +124,16 @@ class Checker {
                    "checks WHERE vehicle_key NOT IN (SELECT key FROM "
                    "vehicles))",
                    "checks or heads of checks belong to no vehicle"},
+             Query{"SELECT count(*) FROM group_members WHERE group_id NOT IN "
+                   "(SELECT id FROM vehicle_groups) OR vehicle_key NOT IN "
+                   "(SELECT key FROM vehicles)",
+                   "members belong to no group or are no vehicle"},
+             Query{"SELECT count(*) FROM group_links AS l WHERE NOT EXISTS "
+                   "(SELECT 1 FROM group_members AS m WHERE m.group_id = "
+                   "l.group_id AND m.vehicle_key = l.query_vehicle) OR NOT "
+                   "EXISTS (SELECT 1 FROM group_members AS m WHERE m.group_id "
+                   "= l.group_id AND m.vehicle_key = l.matched_vehicle)",
+                   "loop closures of groups name vehicles that are no members"},
              Query{"SELECT count(*) FROM deleted_vehicles WHERE key IN (SELECT "
                    "key FROM vehicles)",
                    "vehicles are there although they were deleted"},

@@ -169,12 +169,51 @@ CREATE TABLE dropped_events (
 );
 )sql";
 
+// The tables that format 8 has beyond format 7. No row of them has the columns
+// of a vehicle, a batch or a pair, for the same reason. The unique columns are
+// those by which a vehicle's rows are found.
+constexpr char kAddedBy8[] = R"sql(
+CREATE TABLE vehicle_groups (
+  id TEXT PRIMARY KEY NOT NULL,
+  format INTEGER NOT NULL,
+  revision INTEGER NOT NULL,
+  uid TEXT NOT NULL,
+  checksum INTEGER NOT NULL,
+  payload BLOB NOT NULL
+) WITHOUT ROWID;
+CREATE TABLE group_members (
+  group_id TEXT NOT NULL,
+  vehicle_key INTEGER NOT NULL,
+  format INTEGER NOT NULL,
+  checksum INTEGER NOT NULL,
+  payload BLOB NOT NULL,
+  PRIMARY KEY (group_id, vehicle_key),
+  UNIQUE (vehicle_key, group_id)
+) WITHOUT ROWID;
+CREATE TABLE group_links (
+  group_id TEXT NOT NULL,
+  id TEXT NOT NULL,
+  format INTEGER NOT NULL,
+  state INTEGER NOT NULL,
+  query_vehicle INTEGER NOT NULL,
+  query_sequence INTEGER NOT NULL,
+  matched_vehicle INTEGER NOT NULL,
+  matched_sequence INTEGER NOT NULL,
+  checksum INTEGER NOT NULL,
+  payload BLOB NOT NULL,
+  PRIMARY KEY (group_id, id),
+  UNIQUE (query_vehicle, group_id, id),
+  UNIQUE (matched_vehicle, group_id, id)
+) WITHOUT ROWID;
+)sql";
+
 // Lets pages of deleted rows be given back to the file system. Works only for a
 // file without tables.
 constexpr char kVacuum[] = "PRAGMA auto_vacuum = INCREMENTAL";
 
 std::string AllTables() {
-  return std::string(kTablesOf4) + kAddedBy5 + kAddedBy6 + kAddedBy7;
+  return std::string(kTablesOf4) + kAddedBy5 + kAddedBy6 + kAddedBy7 +
+         kAddedBy8;
 }
 
 }  // namespace
@@ -230,7 +269,8 @@ absl::Status BringToStoreFormat(SqliteDatabase& database,
   std::string sql = "BEGIN IMMEDIATE;";
   if (format->version < 5) sql += kAddedBy5;
   if (format->version < 6) sql += kAddedBy6;
-  sql += kAddedBy7;
+  if (format->version < 7) sql += kAddedBy7;
+  sql += kAddedBy8;
   sql += "PRAGMA user_version = " + std::to_string(kStoreFormat);
   absl::Status status = database.Execute(sql.c_str());
   if (!status.ok()) return status;

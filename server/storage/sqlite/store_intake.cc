@@ -10,6 +10,9 @@
 #include "server/storage/records.h"
 #include "server/storage/sqlite/batch_rows.h"
 #include "server/storage/sqlite/check_rows.h"
+#include "server/storage/sqlite/group_rows.h"
+#include "server/storage/sqlite/link_rows.h"
+#include "server/storage/sqlite/member_rows.h"
 #include "server/storage/sqlite/pair_rows.h"
 #include "server/storage/sqlite/sqlite_database.h"
 #include "server/storage/sqlite/store_check.h"
@@ -74,6 +77,20 @@ class FileIntake : public StoreIntake {
   absl::Status AddChecks(VehicleKey key, const ChecksHead& head,
                          const std::vector<CheckRecord>& checks) override {
     return ImportChecks(*database_, key, head, checks);
+  }
+
+  absl::Status AddGroup(const GroupRecord& group) override {
+    return InsertGroup(*database_, group);
+  }
+
+  absl::Status AddMember(const std::string& group_id,
+                         const GroupMemberRecord& member) override {
+    return InsertMember(*database_, group_id, member);
+  }
+
+  absl::Status AddLink(const std::string& group_id,
+                       const GroupLinkRecord& link) override {
+    return InsertLink(*database_, group_id, link);
   }
 
   absl::Status Commit() override {

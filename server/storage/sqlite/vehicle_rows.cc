@@ -7,6 +7,7 @@
 #include "server/storage/record_checksum.h"
 #include "server/storage/sqlite/batch_rows.h"
 #include "server/storage/sqlite/check_rows.h"
+#include "server/storage/sqlite/group_rows.h"
 #include "server/storage/sqlite/pair_rows.h"
 #include "server/storage/sqlite/snapshot_rows.h"
 
@@ -228,6 +229,8 @@ absl::Status DropDamagedRows(SqliteDatabase& database, VehicleKey key,
   }
   status = DropDamagedChecks(database, key, last_sequence);
   if (!status.ok()) return status;
+  status = CutLinks(database, key, last_sequence);
+  if (!status.ok()) return status;
   return RemoveDamagedPosePairs(database, key, last_sequence);
 }
 
@@ -245,6 +248,8 @@ absl::Status RemoveVehicle(SqliteDatabase& database, VehicleKey key,
   status = RemovePosePairs(database, key);
   if (!status.ok()) return status;
   status = RemoveChecks(database, key, farewell);
+  if (!status.ok()) return status;
+  status = LeaveGroups(database, key);
   if (!status.ok()) return status;
   return database.Prepare("INSERT INTO deleted_vehicles (key) VALUES (?1)")
       .Bind(1, key)

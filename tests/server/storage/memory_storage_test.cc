@@ -17,10 +17,13 @@ class MemoryStore : public StoreUnderTest {
   MemoryStorage storage_;
 };
 
-INSTANTIATE_TEST_SUITE_P(Memory, StorageContract,
-                         ::testing::Values(StoreFactory{
-                             "Memory",
-                             [] { return std::make_unique<MemoryStore>(); }}),
+StoreFactory Factory() {
+  return {"Memory", [] { return std::make_unique<MemoryStore>(); }};
+}
+
+INSTANTIATE_TEST_SUITE_P(Memory, StorageContract, ::testing::Values(Factory()),
+                         NameOf);
+INSTANTIATE_TEST_SUITE_P(Memory, GroupContract, ::testing::Values(Factory()),
                          NameOf);
 
 }  // namespace

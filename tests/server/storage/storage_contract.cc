@@ -30,8 +30,6 @@ BatchRecord Batch(std::uint64_t first, std::uint32_t count,
   return BatchRecord{first, count, revision, payload};
 }
 
-constexpr char kNoRoom[] = "the version before has no tables for checks";
-
 // A step of checks that moves a vehicle's head on.
 ChecksWrite Step(const ChecksHead& before, std::uint64_t checked,
                  std::vector<CheckRecord> checks,
@@ -758,7 +756,6 @@ TEST_P(StorageContract, RemovesASnapshotWithWhatItComesFrom) {
 }
 
 TEST_P(StorageContract, KeepsChecksAndTheirEventsInOneStep) {
-  if (!GetParam().keeps_checks) GTEST_SKIP() << kNoRoom;
   const VehicleKey key = *write().Create("truck");
   ASSERT_THAT(write().Append(key, Batch(1, 9, 2, "nine")), IsOk());
   EXPECT_EQ(storage().GetVehicle("truck")->checks, ChecksHead());
@@ -815,7 +812,6 @@ TEST_P(StorageContract, KeepsChecksAndTheirEventsInOneStep) {
 }
 
 TEST_P(StorageContract, StoresWhatAPairMakesOfChecksWithThePair) {
-  if (!GetParam().keeps_checks) GTEST_SKIP() << kNoRoom;
   const VehicleKey key = *write().Create("truck");
   ASSERT_THAT(write().Append(key, Batch(1, 9, 2, "nine")), IsOk());
   ASSERT_THAT(write().PutChecks(key, Step({}, 9, {{9, 2, 1, 5, "open"}}, {})),
@@ -857,7 +853,6 @@ TEST_P(StorageContract, StoresWhatAPairMakesOfChecksWithThePair) {
 }
 
 TEST_P(StorageContract, SetsChecksBackWithWhatIsGivenUp) {
-  if (!GetParam().keeps_checks) GTEST_SKIP() << kNoRoom;
   const VehicleKey key = *write().Create("truck");
   ASSERT_THAT(write().Append(key, Batch(1, 4, 2, "four")), IsOk());
   ASSERT_THAT(write().Append(key, Batch(5, 4, 3, "four")), IsOk());
@@ -875,7 +870,6 @@ TEST_P(StorageContract, SetsChecksBackWithWhatIsGivenUp) {
 }
 
 TEST_P(StorageContract, ListsTheVehiclesThatOweChecks) {
-  if (!GetParam().keeps_checks) GTEST_SKIP() << kNoRoom;
   std::map<std::string, VehicleKey> keys;
   for (const char* id : {"a", "b", "c", "d", "e"}) {
     keys[id] = *write().Create(id);
@@ -907,7 +901,6 @@ TEST_P(StorageContract, ListsTheVehiclesThatOweChecks) {
 }
 
 TEST_P(StorageContract, TellsEventsOfAllVehiclesBehindAPosition) {
-  if (!GetParam().keeps_checks) GTEST_SKIP() << kNoRoom;
   const VehicleKey truck = *write().Create("truck");
   const VehicleKey van = *write().Create("van");
   EXPECT_EQ(*LastEvent(), EventPosition());
@@ -945,7 +938,6 @@ TEST_P(StorageContract, TellsEventsOfAllVehiclesBehindAPosition) {
 }
 
 TEST_P(StorageContract, KeepsThePlacesOfEventsWhenTheirVehicleIsDeleted) {
-  if (!GetParam().keeps_checks) GTEST_SKIP() << kNoRoom;
   const VehicleKey truck = *write().Create("truck");
   const VehicleKey van = *write().Create("van");
   const VehicleKey silent = *write().Create("silent");
@@ -972,7 +964,6 @@ TEST_P(StorageContract, KeepsThePlacesOfEventsWhenTheirVehicleIsDeleted) {
 }
 
 TEST_P(StorageContract, SaysThatACursorIsTooOldOnceEventsBehindItWereDropped) {
-  if (!GetParam().keeps_checks) GTEST_SKIP() << kNoRoom;
   const VehicleKey key = *write().Create("truck");
   ASSERT_THAT(write().PutChecks(key, Step({}, 0, {},
                                           {Event(10, "a"), Event(20, "b"),
@@ -1040,8 +1031,7 @@ TEST_P(StorageContract, DoesWhatTheModelDoes) {
                  call(BlockingWrites(&model), key.second)};
     };
     const bool has_snapshots = storage().KeepsSnapshots();
-    switch (UniformInt(random, has_snapshots ? -3 : 0,
-                       GetParam().keeps_checks ? 12 : 10)) {
+    switch (UniformInt(random, has_snapshots ? -3 : 0, 12)) {
       case 11:
       case 12: {
         ChecksHead head;

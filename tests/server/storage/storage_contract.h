@@ -1,5 +1,5 @@
 // Tests of what storage.h promises, for any storage: instantiate
-// StorageContract with a factory.
+// StorageContract and GroupContract with a factory.
 #ifndef REVISIT_TESTS_SERVER_STORAGE_STORAGE_CONTRACT_H_
 #define REVISIT_TESTS_SERVER_STORAGE_STORAGE_CONTRACT_H_
 
@@ -34,9 +34,9 @@ struct StoreFactory {
   std::string name;
   // Null if the machine lacks what it needs.
   std::function<std::unique_ptr<StoreUnderTest>()> make;
-  // Whether checks and events are kept; false with the tables in a database
-  // that had no room for them.
-  bool keeps_checks = true;
+  // Whether groups are kept; false with the tables in a database that had no
+  // room for them.
+  bool keeps_groups = true;
 };
 
 inline void PrintTo(const StoreFactory& factory, std::ostream* stream) {
@@ -58,6 +58,8 @@ class StorageContract : public ::testing::TestWithParam<StoreFactory> {
 
   Storage& storage() { return store_->storage(); }
   BlockingWrites write() { return BlockingWrites(&storage()); }
+  GroupStorage& groups() { return storage().Groups(); }
+  BlockingGroupWrites write_groups() { return BlockingGroupWrites(&storage()); }
   // As those of the storage, with all events that were written until now.
   absl::StatusOr<std::vector<EventRecord>> ReadEvents(
       const EventPosition& after, int limit) {
@@ -74,6 +76,19 @@ class StorageContract : public ::testing::TestWithParam<StoreFactory> {
   }
 
   const std::unique_ptr<StoreUnderTest> store_;
+};
+
+// The same of group_storage.h.
+class GroupContract : public StorageContract {
+ protected:
+  void SetUp() override {
+    StorageContract::SetUp();
+    if (!IsSkipped() && !GetParam().keeps_groups) {
+      GTEST_SKIP() << "the version before has no tables for groups";
+    }
+  }
+
+  std::uint64_t RevisionOf(const std::string& id);
 };
 
 }  // namespace revisit::server

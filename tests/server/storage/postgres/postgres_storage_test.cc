@@ -15,7 +15,6 @@
 #include "server/storage/postgres/migrations.h"
 #include "server/storage/postgres/postgres_appends.h"
 #include "server/storage/postgres/postgres_check.h"
-#include "server/storage/postgres/postgres_checks.h"
 #include "server/storage/postgres/postgres_reader.h"
 #include "tests/server/error_matchers.h"
 #include "tests/server/storage/postgres/postgres_server.h"
@@ -67,7 +66,6 @@ class PostgresStore : public StoreUnderTest {
   }
 
   void AwaitEvents() override {
-    if (!*KeepsChecks(*connection_)) return;
     constexpr Statement kAllAreTold = {
         "all_are_told",
         "SELECT NOT EXISTS (SELECT 1 FROM events WHERE xid >= "
@@ -103,32 +101,31 @@ PostgresOptions ManyConnections() {
 }
 
 // Takes the tables back to the version before the last.
-constexpr char kToVersion5[] =
-    "DROP TABLE checks, events, dropped_events; "
-    "DROP FUNCTION set_checks_back, remove_checks CASCADE; "
-    "ALTER TABLE heads DROP checks_stored, DROP checked_sequence, "
-    "DROP last_event; UPDATE schema_version SET version = 5";
+constexpr char kToVersion6[] =
+    "DROP TABLE vehicle_groups, group_members, group_links; "
+    "DROP FUNCTION leave_groups, cut_links CASCADE; "
+    "UPDATE schema_version SET version = 6";
 
-std::unique_ptr<StoreUnderTest> MakeStoreOfVersion5() {
-  static_assert(kOldestSchemaVersion == 5);
+std::unique_ptr<StoreUnderTest> MakeStoreOfVersion6() {
+  static_assert(kOldestSchemaVersion == 6);
   if (PostgresServer::Shared() == nullptr) return nullptr;
   const std::string conninfo = PostgresServer::Shared()->MakeStore();
-  PostgresServer::Shared()->Run(conninfo, kToVersion5);
+  PostgresServer::Shared()->Run(conninfo, kToVersion6);
   return std::make_unique<PostgresStore>(conninfo, PostgresOptions());
 }
 
-INSTANTIATE_TEST_SUITE_P(
-    Postgres, StorageContract,
-    ::testing::Values(StoreFactory{"WithDefaults",
-                                   [] { return MakeStore({}); }},
-                      StoreFactory{"OneWriteAtATime",
-                                   [] { return MakeStore(OneWriteAtATime()); }},
-                      StoreFactory{"ManyConnections",
-                                   [] { return MakeStore(ManyConnections()); }},
-                      StoreFactory{"WithTheTablesOfBefore",
-                                   [] { return MakeStoreOfVersion5(); },
-                                   /*keeps_checks=*/false}),
-    NameOf);
+std::vector<StoreFactory> Factories() {
+  return {{"WithDefaults", [] { return MakeStore({}); }},
+          {"OneWriteAtATime", [] { return MakeStore(OneWriteAtATime()); }},
+          {"ManyConnections", [] { return MakeStore(ManyConnections()); }},
+          {"WithTheTablesOfBefore", [] { return MakeStoreOfVersion6(); },
+           /*keeps_groups=*/false}};
+}
+
+INSTANTIATE_TEST_SUITE_P(Postgres, StorageContract,
+                         ::testing::ValuesIn(Factories()), NameOf);
+INSTANTIATE_TEST_SUITE_P(Postgres, GroupContract,
+                         ::testing::ValuesIn(Factories()), NameOf);
 
 class PostgresStorageTest : public ::testing::Test {
  protected:
@@ -195,8 +192,12 @@ TEST_F(PostgresStorageTest, OfMigrationsAtATimeOneMakesTheTables) {
 }
 
 TEST_F(PostgresStorageTest, RefusesTablesOfAVersionLongBefore) {
-  Sql(kToVersion5);
-  Sql("DROP TABLE deleted_pose_pairs; UPDATE schema_version SET version = 4");
+  Sql(kToVersion6);
+  Sql("DROP TABLE checks, events, dropped_events; "
+      "DROP FUNCTION set_checks_back, remove_checks CASCADE; "
+      "ALTER TABLE heads DROP checks_stored, DROP checked_sequence, "
+      "DROP last_event; "
+      "DROP TABLE deleted_pose_pairs; UPDATE schema_version SET version = 4");
   const auto older = IsError(
       StatusCode::kFailedPrecondition, _,
       AllOf(HasSubstr("of version 4, older"), HasSubstr("revisitd migrate")));
@@ -225,44 +226,37 @@ ChecksWrite ChecksAt(const ChecksHead& before, std::uint64_t checked_sequence,
   return write;
 }
 
-TEST_F(PostgresStorageTest, KeepsChecksFromTheMigrationOn) {
-  Sql(kToVersion5);
+TEST_F(PostgresStorageTest, KeepsGroupsFromTheMigrationOn) {
+  Sql(kToVersion6);
   const auto storage = MustOpen(conninfo_);
-  BlockingWrites write(storage.get());
-  const VehicleKey key = *write.Create("truck");
-  ASSERT_THAT(write.Append(key, {1, 9, 2, "a"}), IsOk());
-  const ChecksWrite checks = ChecksAt({}, 4, {4});
+  GroupStorage& groups = storage->Groups();
+  BlockingGroupWrites write(storage.get());
+  const VehicleKey key = *BlockingWrites(storage.get()).Create("truck");
   const auto no_room = IsError(StatusCode::kFailedPrecondition, _,
                                HasSubstr("revisitd migrate"));
-  const PosePairRecord pair = {"a", 2, 1, 0};
-  DeletedPairRecord deleted;
-  deleted.pair = pair;
-  EXPECT_THAT(write.PutChecks(key, checks), no_room);
-  EXPECT_THAT(write.AddPair(key, deleted.kind, pair, 3, checks), no_room);
-  ASSERT_THAT(write.AddPair(key, deleted.kind, pair, 3), IsOk());
-  EXPECT_THAT(write.DeletePair(key, deleted, 4, checks), no_room);
-  ASSERT_THAT(write.DeletePair(key, deleted, 4), IsOk());
-  EXPECT_THAT(*storage->ListChecks(key, 0, 9, false, 9), IsEmpty());
-  EXPECT_THAT(*storage->ListUnchecked(0, 9), IsEmpty());
-  EXPECT_THAT(*storage->ReadEvents({}, 9), IsEmpty());
-  EXPECT_THAT(storage->ReadEvents({1, key, 1, 0}, 9),
-              IsError(StatusCode::kOutOfRange, "CURSOR_UNKNOWN", _));
-  EXPECT_EQ(*storage->LastEvent(), EventPosition());
-  EXPECT_THAT(write.DropEvents(9, 9), IsOk());
-  EXPECT_THAT(CheckDatabase(conninfo_)->problems, IsEmpty());
-  // A key without a vehicle, and a vehicle that was lost, are told first.
-  EXPECT_THAT(write.PutChecks(99, checks),
+  const std::vector<GroupChange> add = {AddGroupMember{{key, "datum"}}};
+  EXPECT_THAT(write.Create("fleet"), no_room);
+  EXPECT_THAT(write.Change("fleet", add), no_room);
+  EXPECT_THAT(write.Delete("fleet"), no_room);
+  const auto no_group = IsError(StatusCode::kNotFound, "GROUP_NOT_FOUND", _);
+  EXPECT_THAT(groups.GetGroup("fleet"), no_group);
+  EXPECT_THAT(groups.ListMembers("fleet", "", 9), no_group);
+  EXPECT_THAT(groups.ListLinks("fleet", "", 9), no_group);
+  EXPECT_THAT(*groups.ListGroups("", "", 9), IsEmpty());
+  EXPECT_THAT(*groups.ListGroupVersions(std::nullopt), IsEmpty());
+  EXPECT_THAT(*groups.ListGroupsOf(key), IsEmpty());
+  EXPECT_THAT(*groups.ListLinksOf(key, {}, 9), IsEmpty());
+  EXPECT_THAT(groups.ListGroupsOf(99),
               IsError(StatusCode::kNotFound, "VEHICLE_NOT_FOUND", _));
+  EXPECT_THAT(CheckDatabase(conninfo_)->problems, IsEmpty());
   const auto report = MigrateDatabase(conninfo_);
   ASSERT_THAT(report, IsOk());
-  EXPECT_EQ(report->version_before, 5);
+  EXPECT_EQ(report->version_before, 6);
   EXPECT_EQ(report->version_after, kSchemaVersion);
   // The server goes on, and knows at once.
-  ASSERT_THAT(write.PutChecks(key, checks), IsOk());
-  EXPECT_EQ(storage->GetVehicle("truck")->checks, (ChecksHead{true, 4, 1}));
-  EXPECT_EQ(storage->ListChecks(key, 0, 9, false, 9)->size(), 1u);
-  EXPECT_TRUE(
-      Eventually([&] { return storage->ReadEvents({}, 9)->size() == 1; }));
+  ASSERT_THAT(write.Create("fleet"), IsOk());
+  ASSERT_THAT(write.Change("fleet", add), IsOk());
+  EXPECT_THAT(*groups.ListGroupsOf(key), ElementsAre("fleet"));
 }
 
 TEST_F(PostgresStorageTest, ChecksAreNotWrittenByAServerThatLostTheVehicle) {

@@ -56,6 +56,14 @@ std::vector<std::string> Everything(Storage& storage) {
     const auto checks =
         storage.ListChecks(vehicle.key, 0, kLastSequence, false, 100'000);
     for (const std::string& text : ToTexts(*checks)) texts.push_back(text);
+    const auto links = storage.Groups().ListLinksOf(vehicle.key, {}, 100'000);
+    for (const std::string& text : ToTexts(*links)) texts.push_back(text);
+  }
+  const auto groups = storage.Groups().ListGroups("", "", 1000);
+  for (const GroupRecord& group : *groups) {
+    texts.push_back(ToText(group));
+    const auto members = storage.Groups().ListMembers(group.id, "", 1000);
+    for (const std::string& text : ToTexts(*members)) texts.push_back(text);
   }
   return texts;
 }
@@ -127,7 +135,28 @@ class StoreCopyTest : public ::testing::Test {
       for (EventRecord& event : checks.events) event.payload = "event";
       EXPECT_THAT(write.PutChecks(key, checks), IsOk());
     }
+    FillGroups(storage.get());
     return storage;
+  }
+
+  // Two groups with two members each, and some hundred links.
+  static void FillGroups(Storage* storage) {
+    BlockingGroupWrites write(storage);
+    const VehicleKey a = storage->GetVehicle("a")->key;
+    const VehicleKey b = storage->GetVehicle("b")->key;
+    for (const char* id : {"one", "two"}) {
+      EXPECT_THAT(write.Create(id, id, std::string("of ") + id), IsOk());
+      std::vector<GroupChange> changes = {AddGroupMember{{a, "datum"}},
+                                          AddGroupMember{{b, ""}}};
+      for (std::uint64_t i = 0; i < 600; ++i) {
+        changes.emplace_back(AddGroupLink{{"l" + std::to_string(i),
+                                           static_cast<LinkState>(1 + i % 3),
+                                           {a, i + 1},
+                                           {b, i + 2},
+                                           i % 2 == 0 ? "" : "payload"}});
+      }
+      EXPECT_THAT(write.Change(id, changes), IsOk());
+    }
   }
 
   const TemporaryDirectory directory_;
@@ -148,6 +177,9 @@ TEST_F(StoreCopyTest, CopiesAFileIntoADatabaseAndBackWithAllKeys) {
     EXPECT_EQ(copied->loop_closures, 81);
     EXPECT_EQ(copied->deleted_pairs, 18);
     EXPECT_EQ(copied->checks, 900);
+    EXPECT_EQ(copied->groups, 2);
+    EXPECT_EQ(copied->members, 4);
+    EXPECT_EQ(copied->links, 1200);
     const auto found = CheckDatabase(conninfo);
     ASSERT_THAT(found, IsOk());
     EXPECT_THAT(found->problems, IsEmpty());
@@ -208,11 +240,11 @@ TEST_F(StoreCopyTest, TakesNothingIntoAStoreThatIsNotEmpty) {
                       HasSubstr("there is a store at")));
 }
 
-TEST_F(StoreCopyTest, TakesNothingIntoTablesThatHaveNoRoomForChecks) {
+TEST_F(StoreCopyTest, TakesNothingIntoTablesThatHaveNoRoomForGroups) {
   const std::string conninfo = PostgresServer::Shared()->MakeStore();
   PostgresServer::Shared()->Run(
       conninfo,
-      "DROP TABLE dropped_events; UPDATE schema_version SET version = 5");
+      "DROP TABLE vehicle_groups; UPDATE schema_version SET version = 6");
   EXPECT_THAT(FillDatabase(conninfo),
               IsError(StatusCode::kFailedPrecondition, _,
                       HasSubstr("revisitd migrate")));
@@ -253,6 +285,26 @@ TEST_F(StoreCopyTest, RefusesToCopyDamage) {
   ASSERT_THAT(intake, IsOk());
   EXPECT_THAT(CopyStore(**source, intake->get()),
               IsError(StatusCode::kDataLoss, "STORE_CORRUPT", _));
+}
+
+TEST_F(StoreCopyTest, RefusesToCopyADamagedRowOfAGroup) {
+  for (const char* table : {"vehicle_groups", "group_members", "group_links"}) {
+    SCOPED_TRACE(table);
+    const std::string conninfo = PostgresServer::Shared()->MakeStore();
+    {
+      const auto opened = OpenPostgresStorage(conninfo, {});
+      ASSERT_THAT(BlockingWrites(opened->get()).Create("a"), IsOk());
+      ASSERT_THAT(BlockingWrites(opened->get()).Create("b"), IsOk());
+      FillGroups(opened->get());
+    }
+    PostgresServer::Shared()->Run(
+        conninfo, std::string("UPDATE ") + table + " SET checksum = 7");
+    const auto source = OpenPostgresStorageToRead(conninfo);
+    const auto intake = FillFile(Path(std::string(table) + ".db"));
+    ASSERT_THAT(intake, IsOk());
+    EXPECT_THAT(CopyStore(**source, intake->get()),
+                IsError(StatusCode::kDataLoss, "STORE_CORRUPT", _));
+  }
 }
 
 }  // namespace

@@ -19,11 +19,11 @@ using ::testing::IsEmpty;
 
 TEST_F(SqliteStorageTest, RefusesNewerFormat) {
   MakeStore();
-  RunSql(Path(), "PRAGMA user_version = 8");
+  RunSql(Path(), "PRAGMA user_version = 9");
   EXPECT_THAT(OpenSqliteStorage(Path()),
               IsError(StatusCode::kFailedPrecondition, "",
-                      AllOf(HasSubstr("has format 8"),
-                            HasSubstr("this server reads formats 4 to 7"),
+                      AllOf(HasSubstr("has format 9"),
+                            HasSubstr("this server reads formats 4 to 8"),
                             HasSubstr("use a newer server"))));
 }
 
@@ -33,7 +33,7 @@ TEST_F(SqliteStorageTest, RefusesFormatThatWasNeverReleased) {
   EXPECT_THAT(OpenSqliteStorage(Path()),
               IsError(StatusCode::kFailedPrecondition, "",
                       AllOf(HasSubstr("has format 3"),
-                            HasSubstr("this server reads formats 4 to 7"))));
+                            HasSubstr("this server reads formats 4 to 8"))));
 }
 
 TEST_F(SqliteStorageTest, RefusesFileOfAnotherProgramAndLeavesItAsItIs) {
@@ -53,7 +53,7 @@ TEST_F(SqliteStorageTest, RefusesFileThatIsNoDatabase) {
                       HasSubstr("is not a store of revisit")));
 }
 
-TEST_F(SqliteStorageTest, WritesFormat7) {
+TEST_F(SqliteStorageTest, WritesFormat8) {
   // Golden: a change here is a new format. The checksums were printed by this
   // program once; record_checksum.h says what they are made of.
   const VehicleKey key = MakeStore();
@@ -74,9 +74,18 @@ TEST_F(SqliteStorageTest, WritesFormat7) {
     checks.events.back().time_ns = 104;
     checks.events.back().payload = "told";
     ASSERT_THAT(write.PutChecks(key, checks), IsOk());
+    BlockingGroupWrites groups(storage.get());
+    ASSERT_THAT(groups.Create("fleet", "settings", "unique"), IsOk());
+    ASSERT_THAT(groups.Change("fleet", {AddGroupMember{{key, "datum"}},
+                                        AddGroupLink{{"joined",
+                                                      LinkState::kTentative,
+                                                      {key, 6},
+                                                      {key, 1},
+                                                      "mark"}}}),
+                IsOk());
   }
   EXPECT_EQ(RunSql(Path(), "PRAGMA application_id; PRAGMA user_version"),
-            "1381389140\n7\n");
+            "1381389140\n8\n");
   EXPECT_EQ(RunSql(Path(), "PRAGMA journal_mode"), "wal\n");
   EXPECT_EQ(RunSql(Path(), "PRAGMA page_size"), "8192\n");
   EXPECT_EQ(RunSql(Path(),
@@ -84,57 +93,117 @@ TEST_F(SqliteStorageTest, WritesFormat7) {
                    "'table' ORDER BY name"),
             "batches\ncheck_heads\nchecks\ndeleted_pose_pairs\n"
             "deleted_snapshots\ndeleted_vehicles\ndropped_events\nevents\n"
-            "loop_closures\n"
+            "group_links\ngroup_members\nloop_closures\n"
             "rejected_candidates\nrevised_batches\nsnapshot_parts\nsnapshots\n"
-            "sqlite_sequence\nstore\nvehicles\n");
+            "sqlite_sequence\nstore\nvehicle_groups\nvehicles\n");
   EXPECT_EQ(RunSql(Path(),
                    "SELECT key, id, format, revision, checksum, "
                    "payload FROM vehicles"),
-            "1|truck|7|7|8067135607144566699|payload\n");
+            "1|truck|8|7|-2265942714625145979|payload\n");
   EXPECT_EQ(RunSql(Path(), "PRAGMA auto_vacuum"), "2\n");
   // Where store_state.h says that it stands; of the rest only the number of the
   // commit, the creation's included, and that it was the last are known.
   EXPECT_EQ(RunSql(Path(),
                    "SELECT key, substr(state, 1, 8), hex(substr(state, 25, "
                    "8)), hex(substr(state, 49, 8)), length(state) FROM store"),
-            "1|RVSTATE3|0D00000000000000|0100000000000000|64\n");
+            "1|RVSTATE3|0F00000000000000|0100000000000000|64\n");
   const std::string batch =
       "SELECT vehicle_key, first_sequence, count, format, revision, checksum, "
       "payload FROM ";
   EXPECT_EQ(RunSql(Path(), batch + "batches"),
-            "1|1|2|7|2|7290557504945994731|alpha\n"
-            "1|3|2|7|3|-181780734265261|beta\n"
-            "1|5|2|7|4|-9143034401239332841|gamma\n");
+            "1|1|2|8|2|-2442835587616324140|alpha\n"
+            "1|3|2|8|3|-6392577953320758442|beta\n"
+            "1|5|2|8|4|-7679106914065205411|gamma\n");
   EXPECT_EQ(RunSql(Path(), batch + "revised_batches"),
-            "1|5|2|7|5|-2852123500478967986|GAMMA\n");
+            "1|5|2|8|5|8068352387906842914|GAMMA\n");
   const std::string pair =
       "SELECT vehicle_key, id, format, query_sequence, matched_sequence, "
       "create_time_ns, checksum, payload FROM ";
   EXPECT_EQ(RunSql(Path(), pair + "loop_closures"),
-            "1|link|7|6|1|99|1321652235935153537|measured\n");
+            "1|link|8|6|1|99|-5407416111403082421|measured\n");
   EXPECT_EQ(RunSql(Path(), pair + "rejected_candidates"),
-            "1|no|7|6|2|100|-3324854010670219591|\n");
+            "1|no|8|6|2|100|7018123967209369271|\n");
   EXPECT_EQ(RunSql(Path(),
                    "SELECT vehicle_key, number, kind, id, format, "
                    "query_sequence, matched_sequence, create_time_ns, "
                    "delete_time_ns, checksum, payload FROM deleted_pose_pairs"),
-            "1|1|2|gone|7|5|2|101|102|-840474456291616111|said\n");
+            "1|1|2|gone|8|5|2|101|102|435252129925002635|said\n");
   EXPECT_EQ(RunSql(Path(),
                    "SELECT vehicle_key, format, stores, checked_sequence, "
                    "last_event, checksum FROM check_heads"),
-            "1|7|1|5|1|-2795717603036496514\n");
+            "1|8|1|5|1|-262596929090694030\n");
   EXPECT_EQ(RunSql(Path(),
                    "SELECT vehicle_key, sequence, format, revision, "
                    "open_count, create_time_ns, checksum, payload FROM checks"),
-            "1|4|7|7|2|103|8600194132355620325|found\n");
+            "1|4|8|7|2|103|2499168942404913313|found\n");
   EXPECT_EQ(RunSql(Path(),
                    "SELECT id, vehicle_key, number, format, time_ns, checksum, "
                    "payload FROM events"),
-            "1|1|1|7|104|3253796386637939862|told\n");
+            "1|1|1|8|104|6832063038662882545|told\n");
+  EXPECT_EQ(RunSql(Path(),
+                   "SELECT id, format, revision, uid, checksum, payload FROM "
+                   "vehicle_groups"),
+            "fleet|8|2|unique|-7561004399969388852|settings\n");
+  EXPECT_EQ(RunSql(Path(),
+                   "SELECT group_id, vehicle_key, format, checksum, payload "
+                   "FROM group_members"),
+            "fleet|1|8|5966952186254130308|datum\n");
+  EXPECT_EQ(RunSql(Path(),
+                   "SELECT group_id, id, format, state, query_vehicle, "
+                   "query_sequence, matched_vehicle, matched_sequence, "
+                   "checksum, payload FROM group_links"),
+            "fleet|joined|8|2|1|6|1|1|9016742505869253134|mark\n");
 }
 
-// Takes away the tables that came with format 7.
+// Takes away the tables that came with format 8.
+constexpr char kWithoutGroups[] = R"sql(
+DROP TABLE vehicle_groups;
+DROP TABLE group_members;
+DROP TABLE group_links;
+)sql";
+
+// Makes the store of MakeStore() what a server of format 7 left: the same, but
+// for groups. The checksums are those that such a server wrote.
+constexpr char kToFormat7[] = R"sql(
+UPDATE vehicles SET format = 7, checksum = 8067135607144566699;
+UPDATE batches SET format = 7, checksum = 7290557504945994731
+  WHERE first_sequence = 1;
+UPDATE batches SET format = 7, checksum = -181780734265261
+  WHERE first_sequence = 3;
+UPDATE batches SET format = 7, checksum = -9143034401239332841
+  WHERE first_sequence = 5;
+UPDATE revised_batches SET format = 7, checksum = -2852123500478967986;
+UPDATE loop_closures SET format = 7, checksum = 1321652235935153537;
+UPDATE rejected_candidates SET format = 7, checksum = -3324854010670219591;
+PRAGMA user_version = 7;
+)sql";
+
+TEST_F(SqliteStorageTest, StoreOfFormat7OpensAndKeepsGroupsFromThenOn) {
+  MakeStore();
+  RunSql(Path(), std::string(kWithoutGroups) + kToFormat7);
+  {
+    const std::unique_ptr<Storage> storage = MustOpen(Path());
+    EXPECT_EQ(ToText(*storage->GetVehicle("truck")),
+              "truck 1: 1 closures, 1 rejected, to 6, revision 7, 'payload'");
+    EXPECT_THAT(
+        ToTexts(*ReadAll(*storage, 1, 1, 6)),
+        ElementsAre("1+2, revision 2, 'alpha'", "3+2, revision 3, 'beta'",
+                    "5+2, revision 5, 'GAMMA'"));
+    EXPECT_THAT(*storage->Groups().ListGroups("", "", 9), IsEmpty());
+    BlockingGroupWrites write(storage.get());
+    ASSERT_THAT(write.Create("fleet"), IsOk());
+    ASSERT_THAT(write.Change("fleet", {AddGroupMember{{1, "datum"}}}), IsOk());
+  }
+  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "8\n");
+  EXPECT_THAT(*MustOpen(Path())->Groups().ListGroupsOf(1),
+              ElementsAre("fleet"));
+}
+
+// Takes away the tables that came with formats 7 and 8.
 constexpr char kWithoutChecks[] = R"sql(
+DROP TABLE vehicle_groups;
+DROP TABLE group_members;
+DROP TABLE group_links;
 DROP TABLE check_heads;
 DROP TABLE checks;
 DROP TABLE events;
@@ -171,7 +240,7 @@ TEST_F(SqliteStorageTest, StoreOfFormat6OpensAndStoresChecksFromThenOn) {
     checks.after = {true, 6, 0};
     EXPECT_THAT(write.PutChecks(1, checks), IsOk());
   }
-  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "7\n");
+  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "8\n");
   EXPECT_EQ(MustOpen(Path())->GetVehicle("truck")->checks,
             (ChecksHead{true, 6, 0}));
 }
@@ -208,7 +277,7 @@ TEST_F(SqliteStorageTest, StoreOfFormat5OpensAndKeepsWhatIsDeletedFromThenOn) {
     BlockingWrites write(storage.get());
     EXPECT_THAT(write.DeletePair(1, PairKind::kLoopClosure, "link", 8), IsOk());
   }
-  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "7\n");
+  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "8\n");
   EXPECT_EQ(MustOpen(Path())->ListDeletedPairs(1)->size(), 1u);
 }
 
@@ -250,7 +319,7 @@ TEST_F(SqliteStorageTest, StoreOfFormat4OpensAndGainsSnapshots) {
     EXPECT_THAT(write.PutSnapshot(1, {6, 1, "rest"}), IsOk());
     EXPECT_THAT(*storage->ListDeletedPairs(1), IsEmpty());
   }
-  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "7\n");
+  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "8\n");
   EXPECT_EQ(RunSql(Path(), "SELECT format, count(*) FROM batches GROUP BY 1"),
             "4|3\n");
   EXPECT_EQ(SnapshotOf(*MustOpen(Path()), 1), "to 6: part, 'rest'");

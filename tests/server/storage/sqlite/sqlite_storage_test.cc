@@ -59,19 +59,19 @@ SqliteOptions SmallGroups() {
   return options;
 }
 
-INSTANTIATE_TEST_SUITE_P(
-    Sqlite, StorageContract,
-    ::testing::Values(
-        StoreFactory{
-            "WithDefaults",
-            [] { return std::make_unique<SqliteStore>(SqliteOptions()); }},
-        StoreFactory{
-            "OneWriteAtATime",
-            [] { return std::make_unique<SqliteStore>(OneWriteAtATime()); }},
-        StoreFactory{
-            "SmallGroups",
-            [] { return std::make_unique<SqliteStore>(SmallGroups()); }}),
-    NameOf);
+std::vector<StoreFactory> Factories() {
+  return {{"WithDefaults",
+           [] { return std::make_unique<SqliteStore>(SqliteOptions()); }},
+          {"OneWriteAtATime",
+           [] { return std::make_unique<SqliteStore>(OneWriteAtATime()); }},
+          {"SmallGroups",
+           [] { return std::make_unique<SqliteStore>(SmallGroups()); }}};
+}
+
+INSTANTIATE_TEST_SUITE_P(Sqlite, StorageContract,
+                         ::testing::ValuesIn(Factories()), NameOf);
+INSTANTIATE_TEST_SUITE_P(Sqlite, GroupContract,
+                         ::testing::ValuesIn(Factories()), NameOf);
 
 TEST_F(SqliteStorageTest, SecondServerIsToldWhoHasTheStore) {
   const std::unique_ptr<Storage> first = MustOpen(Path());
