@@ -46,7 +46,8 @@ class GroupStorage {
   virtual ~GroupStorage() = default;
 
   // Of the record, id, uid and payload are read; the group begins at revision
-  // 1, without members. ALREADY_EXISTS (GROUP_EXISTS) if the id is taken.
+  // 1, without members. ALREADY_EXISTS (GROUP_EXISTS) if the id is taken, by
+  // this very write if it was sent again: the uid tells.
   virtual void CreateGroup(GroupRecord group, Done done) = 0;
   // Makes changes one after the other, all in one step; with none, only the
   // revision rises. Errors, of which the first one ends the step:
