@@ -1,6 +1,8 @@
 // Groups in PostgreSQL, beyond what every storage promises: writers of several
 // servers, and damage.
+#include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <thread>
 #include <vector>
@@ -252,6 +254,29 @@ TEST_F(PostgresGroupsTest, AServerThatStopsInAWriteHoldsAGroupForSomeSeconds) {
   EXPECT_TRUE(
       Eventually([&] { return write_groups().Change("fleet", {}).ok(); }));
   EXPECT_EQ(groups().GetGroup("fleet")->version.revision, 3u);
+}
+
+TEST_F(PostgresGroupsTest, ServersOfTheVersionBeforeLeaveGroupsRight) {
+  const VehicleKey truck = *write().Create("truck");
+  const VehicleKey van = *write().Create("van");
+  ASSERT_THAT(write().Append(truck, {1, 9, 2, "a"}), IsOk());
+  MakeGroups({"fleet"}, {truck, van});
+  AddGroupLink late = LinkOf("late", truck, van);
+  late.link.query.sequence = 5;
+  ASSERT_THAT(
+      write_groups().Change("fleet", {LinkOf("early", van, truck), late}),
+      IsOk());
+  // What these write: a loss that is accepted, and a deletion.
+  const std::string of_truck = " WHERE key = " + std::to_string(truck);
+  Sql("UPDATE heads SET durable_sequence = 4" + of_truck);
+  EXPECT_THAT(ToTexts(*groups().ListLinks("fleet", "", 9)),
+              ElementsAre(HasSubstr("early")));
+  EXPECT_EQ(groups().GetGroup("fleet")->version.revision, 4u);
+  Sql("DELETE FROM heads" + of_truck + "; DELETE FROM vehicles" + of_truck);
+  EXPECT_THAT(*groups().ListLinks("fleet", "", 9), IsEmpty());
+  EXPECT_THAT(ToTexts(*groups().ListMembers("fleet", "", 9)),
+              ElementsAre("van: 'datum'"));
+  EXPECT_EQ(groups().GetGroup("fleet")->version.revision, 5u);
 }
 
 TEST_F(PostgresGroupsTest, DamageAffectsItsRowOnlyAndIsFoundByACheck) {

@@ -1,7 +1,7 @@
 // Groups in a SQLite file, beyond what every storage promises: damage, and what
 // a check and a backup of the store say of them.
+#include <cstdint>
 #include <memory>
-#include <optional>
 #include <string>
 #include <vector>
 
@@ -19,7 +19,6 @@ namespace {
 
 using absl::StatusCode;
 using ::testing::_;
-using ::testing::AllOf;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
@@ -173,6 +172,25 @@ TEST_F(SqliteGroupsTest, ABackupHoldsTheGroups) {
   const auto storage = MustOpen(copy);
   EXPECT_EQ(storage->Groups().ListMembers("two", "", 9)->size(), 2u);
   EXPECT_EQ(storage->Groups().ListLinksOf(2, {}, 9)->size(), 4u);
+}
+
+TEST_F(SqliteGroupsTest, WithLittleRoomOnlyWhatRemovesIsTaken) {
+  MakeGroups();
+  SqliteOptions options;
+  options.min_free_bytes = std::int64_t{1} << 50;
+  const auto storage = MustOpen(Path(), options);
+  BlockingGroupWrites write(storage.get());
+  const auto full = IsError(StatusCode::kResourceExhausted, "STORAGE_FULL", _);
+  EXPECT_THAT(write.Create("three"), full);
+  EXPECT_THAT(write.Change("one", {SetGroupPayload{"x"}}), full);
+  EXPECT_THAT(
+      write.Change("one", {RemoveGroupLink{"a"}, SetGroupMember{{1, "x"}}}),
+      full);
+  EXPECT_THAT(write.Change("one", {RemoveGroupLink{"a"}, RemoveGroupMember{1}}),
+              IsOk());
+  EXPECT_THAT(write.Delete("two"), IsOk());
+  EXPECT_THAT(ToTexts(*storage->Groups().ListGroups("", "", 9)),
+              ElementsAre("one uid: revision 3, 'payload'"));
 }
 
 TEST_F(SqliteGroupsTest, AStoreThatIsOpenedForReadingTakesNoGroups) {
