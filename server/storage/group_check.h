@@ -1,5 +1,5 @@
-// What record_check.h is for the records of groups (group_records.h): the
-// checks of their rows, and the errors that all storages answer with.
+// The checks of the rows of groups (group_records.h), and the errors that all
+// storages answer with, as record_check.h has them for the rest.
 #ifndef REVISIT_SERVER_STORAGE_GROUP_CHECK_H_
 #define REVISIT_SERVER_STORAGE_GROUP_CHECK_H_
 

@@ -58,7 +58,7 @@ inline bool operator==(const VehiclePose& a, const VehiclePose& b) {
   return a.vehicle == b.vehicle && a.sequence == b.sequence;
 }
 
-// What is known of a link. The numbers stand for the states in rows.
+// How far a link is believed. The numbers stand for the states in rows.
 enum class LinkState { kConfirmed = 1, kTentative = 2, kSuspect = 3 };
 
 // A loop closure between two members of a group.

@@ -3,8 +3,9 @@
 //
 // A group has no owner: any server writes it. Each write is one step, which is
 // there whole or not at all, and which raises the group's revision by one; so
-// does each deletion of a member, and each loss of poses that takes links along
-// (Storage::DeleteVehicle(), Storage::DropDamaged()), in the same step. Writes
+// does each deletion of a vehicle that is a member, and each loss of poses that
+// takes links along (Storage::DeleteVehicle(), Storage::DropDamaged()), in the
+// same step. Writes
 // of a group come one after the other, whoever makes them, and each sees what
 // those before it have left.
 //
@@ -45,8 +46,8 @@ class GroupStorage {
 
   virtual ~GroupStorage() = default;
 
-  // Of the record, id, uid and payload are read; the group begins at revision
-  // 1, without members. ALREADY_EXISTS (GROUP_EXISTS) if the id is taken, by
+  // Reads id, uid and payload of the record; the group begins at revision 1,
+  // without members. ALREADY_EXISTS (GROUP_EXISTS) if the id is taken, by
   // this very write if it was sent again: the uid tells.
   virtual void CreateGroup(GroupRecord group, Done done) = 0;
   // Makes changes one after the other, all in one step; with none, only the

@@ -117,7 +117,8 @@ absl::Status VisitAllLinks(Storage& storage, const std::string& group_id,
       &GroupLinkRecord::id, visit);
 }
 
-// What visits sound records only, and fails with the damage of others.
+// Returns a visit of sound records only, which fails with the damage of others.
+// `visit` outlives it.
 template <typename Record>
 std::function<absl::Status(const Record&)> OnlySound(
     const std::function<absl::Status(const Record&)>& visit) {
@@ -126,7 +127,7 @@ std::function<absl::Status(const Record&)> OnlySound(
   };
 }
 
-// What counts records, and notes the damage of each.
+// Returns a visit that counts records, and notes the damage of each.
 template <typename Record>
 std::function<absl::Status(const Record&)> Counted(std::int64_t* count,
                                                    StoreReport* report) {

@@ -28,7 +28,7 @@ struct StoreReport {
   std::int64_t snapshots = 0;
   std::int64_t groups = 0;
   std::int64_t members = 0;
-  // Of groups.
+  // Loop closures between members of groups.
   std::int64_t links = 0;
   // Problems for people to read, each in one line.
   std::vector<std::string> problems;

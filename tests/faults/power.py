@@ -223,7 +223,8 @@ def make_format_4(path):
     database = sqlite3.connect(path)
     for table in ("snapshots", "snapshot_parts", "deleted_snapshots",
                   "deleted_pose_pairs", "check_heads", "checks", "events",
-                  "dropped_events"):
+                  "dropped_events", "vehicle_groups", "group_members",
+                  "group_links"):
         database.execute(f"DROP TABLE {table}")
     database.execute("PRAGMA user_version = 4")
     database.close()

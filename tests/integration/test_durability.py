@@ -372,22 +372,24 @@ def test_store_of_a_newer_format_is_refused_and_left_alone(tmp_path):
         pass
     path = database_of(store)
     database = sqlite3.connect(path)
-    database.execute("PRAGMA user_version = 8")
+    database.execute("PRAGMA user_version = 9")
     database.close()
     content = path.read_bytes()
     result = run("revisitd", "--listen", "127.0.0.1:0", "--store", store)
     assert result.returncode in (73, 74)
-    assert "has format 8" in result.stderr
+    assert "has format 9" in result.stderr
     assert "use a newer server" in result.stderr
     assert path.read_bytes() == content
 
 
 # The tables that a format lacks.
-CHECKS = ["check_heads", "checks", "events", "dropped_events"]
+GROUPS = ["vehicle_groups", "group_members", "group_links"]
+CHECKS = ["check_heads", "checks", "events", "dropped_events", *GROUPS]
 LACKING = {4: ["snapshots", "snapshot_parts", "deleted_snapshots",
                "deleted_pose_pairs", *CHECKS],
            5: ["deleted_pose_pairs", *CHECKS],
-           6: CHECKS}
+           6: CHECKS,
+           7: GROUPS}
 
 
 @pytest.mark.parametrize("killed", [False, True], ids=["drained", "killed"])

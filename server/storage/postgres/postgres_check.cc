@@ -67,7 +67,7 @@ constexpr LeftOver kLeftOvers[] = {
      "events are beyond the last one that their vehicle's head tells of"},
 };
 
-// Those of tables that have room for groups.
+// These need tables that have room for groups.
 constexpr LeftOver kMembersLeftOver = {
     {"members_left_over",
      "SELECT count(*) FROM group_members m WHERE NOT EXISTS (SELECT 1 FROM "

@@ -191,7 +191,7 @@ TEST_F(PostgresGroupsTest, ADeletionSeesAMemberThatWasAddedJustBefore) {
   const VehicleKey truck = *write().Create("truck");
   MakeGroups({"fleet"}, {});
   const std::string key = std::to_string(truck);
-  // What a server writes that adds the member.
+  // A server that adds the member writes this.
   Run("BEGIN; SELECT key FROM vehicles WHERE key = " + key +
       " FOR KEY SHARE; INSERT INTO group_members VALUES ('fleet', " + key +
       ", 4, 0, '')");
@@ -266,7 +266,7 @@ TEST_F(PostgresGroupsTest, ServersOfTheVersionBeforeLeaveGroupsRight) {
   ASSERT_THAT(
       write_groups().Change("fleet", {LinkOf("early", van, truck), late}),
       IsOk());
-  // What these write: a loss that is accepted, and a deletion.
+  // These write a loss that is accepted, and a deletion.
   const std::string of_truck = " WHERE key = " + std::to_string(truck);
   Sql("UPDATE heads SET durable_sequence = 4" + of_truck);
   EXPECT_THAT(ToTexts(*groups().ListLinks("fleet", "", 9)),
