@@ -43,9 +43,9 @@ def test_a_database_without_tables_is_refused_until_it_is_migrated(
                    "permission denied")
     first = run("revisitd", "migrate", "--store", owner)
     assert (first.returncode, first.stdout) == (
-        0, "version before 0\nversion after 6\n"), first.stderr
+        0, "version before 0\nversion after 7\n"), first.stderr
     again = run("revisitd", "migrate", "--store", owner)
-    assert again.stdout == "version before 6\nversion after 6\n"
+    assert again.stdout == "version before 7\nversion after 7\n"
     with serve(served, tmp_path) as server:
         stub = server.stub()
         stub.CreateVehicle(api.CreateVehicleRequest(vehicle_id="truck"))
