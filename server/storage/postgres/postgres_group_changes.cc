@@ -250,8 +250,9 @@ absl::StatusOr<std::uint64_t> ChangeGroupRows(
       connection, id, expected,
       [&] {
         auto vehicles = HoldNewMembers(connection, changes);
-        if (vehicles.ok()) held = *std::move(vehicles);
-        return vehicles.status();
+        if (!vehicles.ok()) return vehicles.status();
+        held = *std::move(vehicles);
+        return absl::OkStatus();
       },
       [&](const GroupRecord& group) {
         for (const GroupChange& change : changes) {
