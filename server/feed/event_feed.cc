@@ -15,6 +15,12 @@ namespace revisit::server {
 namespace {
 
 constexpr int kEventsPerRead = 500;
+// What the feed takes for an event beside it.
+constexpr std::size_t kIndexBytes = 64;
+// Events that one call of Newest() looks at, of all vehicles.
+constexpr std::size_t kMostLookedAt = 1000;
+// With more vehicles than these, looking at all events takes no longer.
+constexpr std::size_t kFewVehicles = 16;
 
 bool IsBefore(const EventPosition& a, const EventPosition& b) {
   return std::tie(a.order, a.key, a.number) <
@@ -39,7 +45,7 @@ FeedEventPtr Decode(const EventRecord& record) {
   }
   // What is decoded takes some times as much as its payload.
   event->bytes = sizeof(FeedEvent) - sizeof(event->message) +
-                 event->message.SpaceUsedLong();
+                 event->message.SpaceUsedLong() + kIndexBytes;
   return event;
 }
 
@@ -79,9 +85,7 @@ void EventFeed::Run() {
       MutexLock lock(&mutex_);
       while (!stopping_ && watches_.empty()) {
         // What comes while nobody watches is not read.
-        begin_.reset();
-        events_.clear();
-        bytes_ = 0;
+        Forget();
         changed_.Wait(&mutex_);
       }
       if (stopping_) return;
@@ -118,9 +122,7 @@ bool EventFeed::ReadOn() {
     // The store is another one than before, or was long out of reach: whoever
     // watches finds out by its own cursor.
     const MutexLock lock(&mutex_);
-    begin_.reset();
-    events_.clear();
-    bytes_ = 0;
+    Forget();
     return true;
   }
   if (!records.ok() || records->empty()) return false;
@@ -134,16 +136,8 @@ bool EventFeed::ReadOn() {
     delay_.Observe(static_cast<double>(now_ns - record.time_ns) / 1e9);
   }
   const MutexLock lock(&mutex_);
-  for (FeedEventPtr& event : decoded) {
-    bytes_ += event->bytes;
-    end_ = event->position;
-    events_.push_back(std::move(event));
-  }
-  while (bytes_ > options_.most_bytes && events_.size() > 1) {
-    bytes_ -= events_.front()->bytes;
-    begin_ = events_.front()->position;
-    events_.pop_front();
-  }
+  for (FeedEventPtr& event : decoded) Keep(std::move(event));
+  while (bytes_ > options_.most_bytes && events_.size() > 1) DropFirst();
   return static_cast<int>(records->size()) == kEventsPerRead;
 }
 
@@ -169,21 +163,87 @@ void EventFeed::CallWatches(std::chrono::milliseconds within) {
   }
 }
 
-std::optional<std::vector<FeedEventPtr>> EventFeed::Newest(
-    const EventPosition& after, int most) const {
+void EventFeed::Forget() {
+  begin_.reset();
+  of_vehicle_.clear();
+  events_.clear();
+  bytes_ = 0;
+}
+
+void EventFeed::Keep(FeedEventPtr event) {
+  bytes_ += event->bytes;
+  end_ = event->position;
+  of_vehicle_.emplace(event->vehicle_id, dropped_ + events_.size());
+  events_.push_back(std::move(event));
+}
+
+void EventFeed::DropFirst() {
+  const FeedEvent& first = *events_.front();
+  bytes_ -= first.bytes;
+  begin_ = first.position;
+  of_vehicle_.erase({first.vehicle_id, dropped_});
+  ++dropped_;
+  events_.pop_front();
+}
+
+std::optional<NewEvents> EventFeed::Newest(
+    const EventPosition& after, const std::set<std::string>& vehicles,
+    Wanted wanted, int most) const {
   const MutexLock lock(&mutex_);
   if (!begin_ || IsBefore(after, *begin_)) return std::nullopt;
-  auto next = std::upper_bound(
+  const auto next = std::upper_bound(
       events_.begin(), events_.end(), after,
       [](const EventPosition& position, const FeedEventPtr& event) {
         return IsBefore(position, event->position);
       });
-  std::vector<FeedEventPtr> found;
-  for (; next != events_.end() && static_cast<int>(found.size()) < most;
-       ++next) {
-    found.push_back(*next);
+  if (next == events_.end()) return NewEvents{{}, after, 0};
+  const auto first = static_cast<std::size_t>(next - events_.begin());
+  return vehicles.empty() || vehicles.size() > kFewVehicles
+             ? NewestOfAll(first, wanted, most)
+             : NewestOfVehicles(first, vehicles, wanted, most);
+}
+
+NewEvents EventFeed::NewestOfVehicles(std::size_t first,
+                                      const std::set<std::string>& vehicles,
+                                      Wanted wanted, int most) const {
+  std::vector<std::size_t> found;
+  for (const std::string& vehicle : vehicles) {
+    for (auto next = of_vehicle_.lower_bound({vehicle, dropped_ + first});
+         next != of_vehicle_.end() && next->first == vehicle; ++next) {
+      const std::size_t index = next->second - dropped_;
+      if (wanted(*events_[index])) found.push_back(index);
+    }
   }
-  return found;
+  std::sort(found.begin(), found.end());
+  std::size_t last = events_.size() - 1;
+  if (found.size() > static_cast<std::size_t>(most)) {
+    found.resize(static_cast<std::size_t>(most));
+    last = found.back();
+  }
+  NewEvents newest;
+  for (const std::size_t index : found) {
+    newest.events.push_back(events_[index]);
+  }
+  newest.up_to = events_[last]->position;
+  newest.passed = static_cast<std::int64_t>(last + 1 - first - found.size());
+  return newest;
+}
+
+NewEvents EventFeed::NewestOfAll(std::size_t first, Wanted wanted,
+                                 int most) const {
+  NewEvents newest;
+  const std::size_t end = std::min(events_.size(), first + kMostLookedAt);
+  for (std::size_t index = first; index < end; ++index) {
+    const FeedEventPtr& event = events_[index];
+    newest.up_to = event->position;
+    if (!wanted(*event)) {
+      ++newest.passed;
+      continue;
+    }
+    newest.events.push_back(event);
+    if (static_cast<int>(newest.events.size()) == most) break;
+  }
+  return newest;
 }
 
 absl::StatusOr<std::vector<FeedEventPtr>> EventFeed::Read(

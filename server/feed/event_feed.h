@@ -11,12 +11,17 @@
 #include <map>
 #include <memory>
 #include <optional>
+#include <set>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
+#include "absl/container/btree_set.h"
+#include "absl/functional/function_ref.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
 #include "core/base/mutex.h"
 #include "revisit/v1/pose_graph_service.pb.h"
 #include "server/base/histogram.h"
@@ -38,6 +43,14 @@ struct FeedEvent {
   std::size_t bytes = 0;
 };
 using FeedEventPtr = std::shared_ptr<const FeedEvent>;
+
+// The next events that somebody wants.
+struct NewEvents {
+  std::vector<FeedEventPtr> events;
+  // Up to here there are no others that are wanted, but `passed` that are not.
+  EventPosition up_to;
+  std::int64_t passed = 0;
+};
 
 // Thread-safe.
 class EventFeed {
@@ -64,13 +77,18 @@ class EventFeed {
   WatchId Watch(std::function<void()> look);
   void Unwatch(WatchId id);
 
-  // The events behind a position that are in memory, `most` of them: none if
-  // there are none yet. Nothing at all if the position is not among those that
-  // memory covers: then they have to be read (Read()).
-  std::optional<std::vector<FeedEventPtr>> Newest(const EventPosition& after,
-                                                  int most) const;
-  // The same from the store, for those that are behind: takes a while. Errors
-  // are those of Storage::ReadEvents().
+  // The events behind a position that are in memory and wanted, `most` of them,
+  // of these vehicles or, with none, of all: none if there are none yet, or
+  // where many that are not wanted come first (NewEvents::up_to). Nothing at
+  // all if the position is not among those that memory covers: then they have
+  // to be read (Read()). O(log) for a few vehicles and what they have, for
+  // others O(events that are looked at). Call nothing of the feed in `wanted`.
+  using Wanted = absl::FunctionRef<bool(const FeedEvent&)>;
+  std::optional<NewEvents> Newest(const EventPosition& after,
+                                  const std::set<std::string>& vehicles,
+                                  Wanted wanted, int most) const;
+  // All events behind a position, `most` of them, from the store, for those
+  // that are behind: takes a while. Errors are those of Storage::ReadEvents().
   absl::StatusOr<std::vector<FeedEventPtr>> Read(const EventPosition& after,
                                                  int most) const;
 
@@ -80,6 +98,17 @@ class EventFeed {
   void Run();
   // Asks the store for what is new. Returns whether there may be more.
   bool ReadOn() ABSL_LOCKS_EXCLUDED(mutex_);
+  // Forgets what is in memory, and up to where the store was read.
+  void Forget() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  void Keep(FeedEventPtr event) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  void DropFirst() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  // Newest() from the event with this index on.
+  NewEvents NewestOfVehicles(std::size_t first,
+                             const std::set<std::string>& vehicles,
+                             Wanted wanted, int most) const
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  NewEvents NewestOfAll(std::size_t first, Wanted wanted, int most) const
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   // Rests between calls, so long as it does not take longer than this.
   void CallWatches(std::chrono::milliseconds within)
       ABSL_LOCKS_EXCLUDED(mutex_);
@@ -96,6 +125,12 @@ class EventFeed {
   std::optional<EventPosition> begin_ ABSL_GUARDED_BY(mutex_);
   EventPosition end_ ABSL_GUARDED_BY(mutex_);
   std::deque<FeedEventPtr> events_ ABSL_GUARDED_BY(mutex_);
+  // How many events were dropped before the first: with its index, an event's
+  // serial number.
+  std::uint64_t dropped_ ABSL_GUARDED_BY(mutex_) = 0;
+  // The events of each vehicle, by serial number. The ids are those of events.
+  absl::btree_set<std::pair<absl::string_view, std::uint64_t>> of_vehicle_
+      ABSL_GUARDED_BY(mutex_);
   std::size_t bytes_ ABSL_GUARDED_BY(mutex_) = 0;
   std::map<WatchId, std::shared_ptr<std::function<void()>>> watches_
       ABSL_GUARDED_BY(mutex_);

@@ -173,18 +173,7 @@ class CandidateWatch final : public WritingCall<CandidateWatch> {
       return;
     }
     while (true) {
-      if (read_.empty()) {
-        auto newest = context_.feed->Newest(position_, kEventsAtOnce);
-        if (!newest) {
-          Fetch();
-          return;
-        }
-        if (newest->empty()) {
-          if (Clock::now() - write_start_ >= kBeatPeriod) WriteBeat();
-          return;
-        }
-        read_.assign(newest->begin(), newest->end());
-      }
+      if (read_.empty() && !TakeNewest()) return;
       const FeedEventPtr event = std::move(read_.front());
       read_.pop_front();
       position_ = event->position;
@@ -200,16 +189,42 @@ class CandidateWatch final : public WritingCall<CandidateWatch> {
     }
   }
 
+  // Takes the next events from memory. Returns false if there are none, or the
+  // store has to be read for them.
+  bool TakeNewest() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
+    while (true) {
+      const std::optional<NewEvents> newest = context_.feed->Newest(
+          position_, filter_.vehicles,
+          [&](const FeedEvent& event)
+              ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) { return IsWanted(event); },
+          kEventsAtOnce);
+      if (!newest) {
+        Fetch();
+        return false;
+      }
+      if (!newest->events.empty()) {
+        read_.assign(newest->events.begin(), newest->events.end());
+        return true;
+      }
+      position_ = newest->up_to;
+      unwanted_ += newest->passed;
+      if (unwanted_ >= kMostUnwanted ||
+          Clock::now() - write_start_ >= kBeatPeriod) {
+        WriteBeat();
+        return false;
+      }
+      if (newest->passed == 0) return false;
+    }
+  }
+
   bool IsWanted(const FeedEvent& event) const
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
-    if (event.vehicle_id.empty() ||
-        !caller_->May(Verb::kRead, event.vehicle_id)) {
-      return false;
-    }
+    if (event.vehicle_id.empty()) return false;
     if (!filter_.vehicles.empty() &&
         filter_.vehicles.count(event.vehicle_id) == 0) {
       return false;
     }
+    if (!caller_->May(Verb::kRead, event.vehicle_id)) return false;
     if (!event.message.has_candidate()) return true;
     const v1::CandidateEvent& candidate = event.message.candidate();
     return Matches(filter_, candidate.candidate(), candidate.evidence());
@@ -276,7 +291,7 @@ class CandidateWatch final : public WritingCall<CandidateWatch> {
   std::deque<FeedEventPtr> read_ ABSL_GUARDED_BY(mutex_);
   // Whether the store is being read.
   bool fetching_ ABSL_GUARDED_BY(mutex_) = false;
-  int unwanted_ ABSL_GUARDED_BY(mutex_) = 0;
+  std::int64_t unwanted_ ABSL_GUARDED_BY(mutex_) = 0;
   Clock::time_point write_start_ ABSL_GUARDED_BY(mutex_);
   // The status that the call ends with, as soon as no message is being written.
   std::optional<absl::Status> last_status_ ABSL_GUARDED_BY(mutex_);
