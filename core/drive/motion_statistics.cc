@@ -65,27 +65,6 @@ MotionStatistics<D> MeanMotion(const Correlation& correlation,
   return statistics;
 }
 
-template <int D>
-MotionStatistics<D> MeasureMotion(const PoseGraph& graph,
-                                  const Correlation& correlation,
-                                  NodeIndex last) {
-  assert(last < graph.size());
-  MotionSums<D> sums;
-  AddMotion<D>(graph, correlation, 0, last + 1, &sums);
-  return MeanMotion<D>(correlation, sums);
-}
-
-std::vector<double> ShareOfStretches(const PoseGraph& graph, NodeIndex last,
-                                     NodeIndex stretch_nodes,
-                                     const std::vector<double>& turns,
-                                     double tolerance_radians) {
-  assert(last < graph.size() && stretch_nodes >= 1);
-  StretchCounter counter(turns, tolerance_radians);
-  VisitStretches(graph, stretch_nodes, 0, last + 1,
-                 [&](double turn) { counter.Add(turn); });
-  return counter.Shares();
-}
-
 StretchCounter::StretchCounter(const std::vector<double>& turns,
                                double tolerance_radians)
     : turns_(turns), tolerance_radians_(tolerance_radians) {
@@ -145,9 +124,5 @@ template MotionStatistics<3> MeanMotion<3>(const Correlation&,
                                            const MotionSums<3>&);
 template MotionStatistics<4> MeanMotion<4>(const Correlation&,
                                            const MotionSums<4>&);
-template MotionStatistics<3> MeasureMotion<3>(const PoseGraph&,
-                                              const Correlation&, NodeIndex);
-template MotionStatistics<4> MeasureMotion<4>(const PoseGraph&,
-                                              const Correlation&, NodeIndex);
 
 }  // namespace revisit::core

@@ -24,14 +24,6 @@ struct MotionStatistics : StepNoise<D> {
   std::int64_t steps = 0;
 };
 
-// The statistics over nodes [0, last]. Both covariances are positive
-// semidefinite: a mean that rounding, interpolation or an optimiser has made
-// indefinite loses its negative part. O(last).
-template <int D>
-MotionStatistics<D> MeasureMotion(const PoseGraph& graph,
-                                  const Correlation& correlation,
-                                  NodeIndex last);
-
 // The sums that MotionStatistics are the means of.
 template <int D>
 struct MotionSums {
@@ -46,18 +38,11 @@ template <int D>
 void AddMotion(const PoseGraph& graph, const Correlation& correlation,
                NodeIndex first, NodeIndex end, MotionSums<D>* sums);
 
+// Both covariances are positive semidefinite: a mean that rounding,
+// interpolation or an optimiser has made indefinite loses its negative part.
 template <int D>
 MotionStatistics<D> MeanMotion(const Correlation& correlation,
                                const MotionSums<D>& sums);
-
-// How common turns are on the vehicle's own roads: for each given turn (rad),
-// the share of those stretches of `stretch_nodes` steps within nodes [0, last]
-// that turn by as much to within `tolerance_radians`. One stretch that does is
-// added to all, so that no share is 0. O(last log(turns)).
-std::vector<double> ShareOfStretches(const PoseGraph& graph, NodeIndex last,
-                                     NodeIndex stretch_nodes,
-                                     const std::vector<double>& turns,
-                                     double tolerance_radians);
 
 // Calls visit(turn) for every stretch whose last node is in [first, end).
 // Stretches lie within one segment.
@@ -76,7 +61,9 @@ void VisitStretches(const PoseGraph& graph, NodeIndex stretch_nodes,
   }
 }
 
-// Counts stretches for ShareOfStretches().
+// Counts stretches to tell how common turns are: for each given turn (rad), the
+// share of the stretches that turn by as much to within `tolerance_radians`.
+// One stretch that does is added to all, so that no share is 0.
 class StretchCounter {
  public:
   StretchCounter(const std::vector<double>& turns, double tolerance_radians);

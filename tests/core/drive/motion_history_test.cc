@@ -9,6 +9,7 @@
 #include "core/drive/pose_graph.h"
 #include "core/geometry/heading.h"
 #include "tests/core/graphs.h"
+#include "tests/oracle/motion_at_once.h"
 #include "tests/random.h"
 
 namespace revisit::core {
@@ -39,7 +40,7 @@ void ExpectAsMeasured(const PoseGraph& graph, CorrelationModel model,
                       const MotionHistory& history, NodeIndex last) {
   const MotionStatistics<D> kept =
       MeanMotion<D>(history.correlation(), history.Sums<D>(graph, last));
-  const MotionStatistics<D> slow = MeasureMotion<D>(graph, model, last);
+  const MotionStatistics<D> slow = oracle::MeasureMotion<D>(graph, model, last);
   EXPECT_EQ(kept.steps, slow.steps);
   EXPECT_EQ(kept.drift, slow.drift);
   EXPECT_EQ(kept.jitter, slow.jitter);
@@ -67,9 +68,9 @@ void ExpectAsCounted(std::mt19937_64& random, const PoseGraph& graph,
     turns.push_back(even ? UniformInt(random, -25, 25) / 8.0
                          : Uniform(random, -kPi, kPi));
   }
-  EXPECT_EQ(
-      SharesBy(history, graph, last, turns, tolerance),
-      ShareOfStretches(graph, last, history.stretch_nodes(), turns, tolerance));
+  EXPECT_EQ(SharesBy(history, graph, last, turns, tolerance),
+            oracle::ShareOfStretches(graph, last, history.stretch_nodes(),
+                                     turns, tolerance));
 }
 
 // Headings at multiples of an eighth, so that differences are exact.

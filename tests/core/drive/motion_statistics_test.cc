@@ -11,6 +11,7 @@
 #include "core/geometry/state_matrix.h"
 #include "tests/core/graphs.h"
 #include "tests/oracle/dead_reckoning.h"
+#include "tests/oracle/motion_at_once.h"
 #include "tests/oracle/motion_by_loops.h"
 #include "tests/random.h"
 
@@ -20,7 +21,8 @@ namespace {
 template <int D>
 void ExpectStatisticsOfLoops(const PoseGraph& graph, CorrelationModel model,
                              NodeIndex last) {
-  const MotionStatistics<D> actual = MeasureMotion<D>(graph, model, last);
+  const MotionStatistics<D> actual =
+      oracle::MeasureMotion<D>(graph, model, last);
   const oracle::MotionByLoops expected =
       oracle::MeasureByLoops(graph, model, last, D);
   EXPECT_EQ(actual.steps, expected.steps);
@@ -68,7 +70,7 @@ TEST(MotionStatisticsTest, FindsTheNoiseThatTheCovariancesGrewBy) {
     graph.AddNode(node, sample.sequence == 1, std::nullopt);
   }
   const auto motion =
-      MeasureMotion<3>(graph, CorrelationModel::kDeadReckoning, 399);
+      oracle::MeasureMotion<3>(graph, CorrelationModel::kDeadReckoning, 399);
   EXPECT_EQ(motion.steps, 399);
   // Noise is drawn in the axes of the node before, 0.05 rad away.
   EXPECT_NEAR(std::sqrt(motion.drift(0, 0) / spacing), noise.along_meters,
@@ -84,7 +86,7 @@ TEST(MotionStatisticsTest, ErrorsThatStartAnewDoNotDrift) {
   std::mt19937_64 random = SeededRandom();
   const PoseGraph graph = RandomGraph(random, 20, 0.0, 0, false);
   const auto motion =
-      MeasureMotion<4>(graph, CorrelationModel::kIndependent, 19);
+      oracle::MeasureMotion<4>(graph, CorrelationModel::kIndependent, 19);
   EXPECT_EQ(motion.drift, (StateMatrix<4>::Zero()));
   EXPECT_GT(motion.jitter.trace(), 0.0);
 }
@@ -100,8 +102,8 @@ TEST(MotionStatisticsTest, CorrelatedFixesWanderOffAndTheirHeadingsDoNot) {
     node.covariance(3, 3) = 0.01;
     graph.AddNode(node, i == 0, std::nullopt);
   }
-  const auto motion =
-      MeasureMotion<3>(graph, {CorrelationModel::kCorrelatedFixes, 50.0}, 9);
+  const auto motion = oracle::MeasureMotion<3>(
+      graph, {CorrelationModel::kCorrelatedFixes, 50.0}, 9);
   const double share = 1.0 - std::exp(-2.0 / 50.0);
   EXPECT_NEAR(motion.drift(0, 0), share * 18.0, 1e-12);
   EXPECT_NEAR(motion.drift(1, 1), share * 8.0, 1e-12);
@@ -119,7 +121,7 @@ TEST(MotionStatisticsTest, StepsOverJumpsDoNotCount) {
     graph.AddNode(node, i % 3 == 0, std::nullopt);
   }
   const auto motion =
-      MeasureMotion<3>(graph, CorrelationModel::kDeadReckoning, 5);
+      oracle::MeasureMotion<3>(graph, CorrelationModel::kDeadReckoning, 5);
   EXPECT_EQ(motion.steps, 4);
   EXPECT_EQ(motion.drift, (StateMatrix<3>::Zero()));
 }
@@ -135,7 +137,7 @@ TEST(MotionStatisticsTest, CovariancesThatShrinkLeaveNoNegativeNoise) {
     graph.AddNode(node, i == 0, std::nullopt);
   }
   const auto motion =
-      MeasureMotion<3>(graph, CorrelationModel::kDeadReckoning, 9);
+      oracle::MeasureMotion<3>(graph, CorrelationModel::kDeadReckoning, 9);
   EXPECT_NEAR(motion.drift(0, 0), 0.0, 1e-12);
   EXPECT_NEAR(motion.drift(1, 1), 1.0, 1e-12);
 }
@@ -151,7 +153,7 @@ TEST(ShareOfStretchesTest, AgreesWithLoopsOverAllStretches) {
     std::vector<double> turns;
     for (int k = 0; k < 20; ++k) turns.push_back(Uniform(random, -kPi, kPi));
     const std::vector<double> shares =
-        ShareOfStretches(graph, last, stretch, turns, tolerance);
+        oracle::ShareOfStretches(graph, last, stretch, turns, tolerance);
     ASSERT_EQ(shares.size(), turns.size());
     for (std::size_t k = 0; k < turns.size(); ++k) {
       EXPECT_NEAR(shares[k],
@@ -170,8 +172,8 @@ TEST(ShareOfStretchesTest, AStraightRoadIsCommonAndACornerRare) {
     node.pose.heading = i < 90 ? 0.0 : 0.5 * kPi;
     graph.AddNode(node, i == 0, std::nullopt);
   }
-  const std::vector<double> shares =
-      ShareOfStretches(graph, 179, 5, {0.0, 0.5 * kPi, -0.5 * kPi}, 0.1);
+  const std::vector<double> shares = oracle::ShareOfStretches(
+      graph, 179, 5, {0.0, 0.5 * kPi, -0.5 * kPi}, 0.1);
   EXPECT_DOUBLE_EQ(shares[0], 171.0 / 176.0);
   EXPECT_DOUBLE_EQ(shares[1], 6.0 / 176.0);
   // Never seen, yet not impossible.
