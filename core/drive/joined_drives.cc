@@ -27,17 +27,10 @@ JoinedDrives::JoinedDrives(std::vector<JoinedDrive> drives,
   }
   for (const FrameLink& link : links_) {
     assert(link.query_drive != link.matched_drive);
-    const DriveView& from = view(link.query_drive);
-    const DriveView& to = view(link.matched_drive);
-    const auto matched = FrameOf(link.matched_drive, from.nodes());
-    if (!matched || link.loop.query >= from.graph.size() ||
-        link.loop.matched >= to.graph.size()) {
-      continue;
-    }
-    KindOf(from.nodes())
-        .relations.AddLink(
-            *frames_[link.query_drive] + from.recordings.Of(link.loop.query),
-            *matched + to.recordings.Of(link.loop.matched), link.loop);
+    const FrameNodes seen_from = view(link.query_drive).nodes();
+    const auto from = FrameAt(link.query_drive, link.loop.query, seen_from);
+    const auto to = FrameAt(link.matched_drive, link.loop.matched, seen_from);
+    if (from && to) KindOf(seen_from).relations.AddLink(*from, *to, link.loop);
   }
 }
 
@@ -50,8 +43,8 @@ const JoinedDrives::Kind* JoinedDrives::FindKind(
 }
 
 JoinedDrives::Kind& JoinedDrives::KindOf(const FrameNodes& nodes) {
-  for (Kind& kind : kinds_) {
-    if (AreOfKind(nodes, kind.state_space, kind.model)) return kind;
+  if (const Kind* const kind = FindKind(nodes)) {
+    return kinds_[static_cast<std::size_t>(kind - kinds_.data())];
   }
   return kinds_.emplace_back(
       Kind{nodes.state_space, nodes.correlation.model, FrameRelations()});
@@ -64,6 +57,13 @@ std::optional<std::size_t> JoinedDrives::FrameOf(
     return std::nullopt;
   }
   return frames_[drive];
+}
+
+std::optional<std::size_t> JoinedDrives::FrameAt(
+    std::size_t drive, NodeIndex node, const FrameNodes& seen_from) const {
+  const auto first = FrameOf(drive, seen_from);
+  if (!first || node >= view(drive).graph.size()) return std::nullopt;
+  return *first + view(drive).recordings.Of(node);
 }
 
 SeenFrames JoinedDrives::SeenFrom(const FrameNodes& nodes,
@@ -87,13 +87,9 @@ SeenFrames JoinedDrives::SeenFrom(const FrameNodes& nodes,
   // The frame that holds an end of a link, if it is one that is seen.
   const auto frame_at = [&](std::size_t drive,
                             NodeIndex node) -> std::optional<std::size_t> {
-    if (is_own(drive)) {
-      if (node > query) return std::nullopt;
-      return seen.own + recordings.Of(node);
-    }
-    const auto first = FrameOf(drive, nodes);
-    if (!first || node >= view(drive).graph.size()) return std::nullopt;
-    return *first + view(drive).recordings.Of(node);
+    if (!is_own(drive)) return FrameAt(drive, node, nodes);
+    if (node > query) return std::nullopt;
+    return seen.own + recordings.Of(node);
   };
   for (const FrameLink& link : links_) {
     if (!is_own(link.query_drive) && !is_own(link.matched_drive)) continue;

@@ -24,7 +24,7 @@
 namespace revisit::core {
 
 struct JoinedDrive {
-  // Not null.
+  // Never null.
   std::shared_ptr<const DriveView> view;
   // Where its first recording was placed, whatever that one's own start says;
   // or null.
@@ -83,6 +83,10 @@ class JoinedDrives {
     FrameRelations relations;
   };
 
+  // The frame in which a node of a drive lies, as FrameOf(). Nothing for a node
+  // that the view does not have.
+  std::optional<std::size_t> FrameAt(std::size_t drive, NodeIndex node,
+                                     const FrameNodes& seen_from) const;
   const Kind* FindKind(const FrameNodes& nodes) const;
   Kind& KindOf(const FrameNodes& nodes);
 
