@@ -1,9 +1,9 @@
 #include "server/storage/postgres/postgres_groups.h"
 
 #include <algorithm>
-#include <memory>
 #include <utility>
 
+#include "server/storage/kept_answer.h"
 #include "server/storage/postgres/postgres_group_changes.h"
 #include "server/storage/postgres/postgres_group_reads.h"
 #include "server/storage/read_only_storage.h"
@@ -15,22 +15,14 @@ void PostgresGroups::Submit(std::size_t bytes, Write write, Done done) {
     done(OpenedForReading());
     return;
   }
-  auto revision = std::make_shared<std::uint64_t>(0);
+  const KeptAnswer<std::uint64_t> revision;
   writer_->Submit(
       /*key=*/0, bytes,
       [write = std::move(write), revision](PostgresConnection& connection,
                                            const Fence&) {
-        const absl::StatusOr<std::uint64_t> written = write(connection);
-        if (written.ok()) *revision = *written;
-        return written.status();
+        return revision.Keep(write(connection));
       },
-      [revision, done = std::move(done)](absl::Status status) {
-        if (!status.ok()) {
-          done(std::move(status));
-        } else {
-          done(*revision);
-        }
-      });
+      revision.Then(std::move(done)));
 }
 
 void PostgresGroups::CreateGroup(GroupRecord group, Done done) {

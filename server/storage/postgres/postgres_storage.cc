@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "server/base/status.h"
+#include "server/storage/kept_answer.h"
 #include "server/storage/postgres/postgres_appends.h"
 #include "server/storage/postgres/postgres_changes.h"
 #include "server/storage/postgres/postgres_checks.h"
@@ -69,23 +70,15 @@ class PostgresStorage : public PostgresReader {
     // Creations of one id keep their order.
     const auto lane =
         static_cast<VehicleKey>(std::hash<std::string>()(record.id));
-    auto key = std::make_shared<VehicleKey>(0);
+    const KeptAnswer<VehicleKey> key;
     WriterOf(lane).Submit(
         0, bytes,
         [this, record = std::move(record), key](PostgresConnection& connection,
                                                 const Fence&) {
-          const absl::StatusOr<VehicleKey> inserted =
-              InsertVehicle(connection, record, ownership_->HighestKey());
-          if (inserted.ok()) *key = *inserted;
-          return inserted.status();
+          return key.Keep(
+              InsertVehicle(connection, record, ownership_->HighestKey()));
         },
-        [key, done = std::move(done)](absl::Status status) {
-          if (!status.ok()) {
-            done(std::move(status));
-          } else {
-            done(*key);
-          }
-        });
+        key.Then(std::move(done)));
   }
 
   void UpdateVehicle(VehicleKey key, std::string payload,

@@ -1,9 +1,9 @@
 #include "server/storage/sqlite/sqlite_groups.h"
 
 #include <algorithm>
-#include <memory>
 #include <utility>
 
+#include "server/storage/kept_answer.h"
 #include "server/storage/read_only_storage.h"
 #include "server/storage/sqlite/group_rows.h"
 #include "server/storage/sqlite/link_rows.h"
@@ -18,22 +18,13 @@ void SqliteGroups::Submit(std::size_t bytes, PendingWrite::Need need,
     done(OpenedForReading());
     return;
   }
-  auto revision = std::make_shared<std::uint64_t>(0);
+  const KeptAnswer<std::uint64_t> revision;
   writer_->Submit(
       bytes,
       [write = std::move(write), revision](SqliteDatabase& database) {
-        const absl::StatusOr<std::uint64_t> written = write(database);
-        if (written.ok()) *revision = *written;
-        return written.status();
+        return revision.Keep(write(database));
       },
-      [revision, done = std::move(done)](absl::Status status) {
-        if (!status.ok()) {
-          done(std::move(status));
-        } else {
-          done(*revision);
-        }
-      },
-      need);
+      revision.Then(std::move(done)), need);
 }
 
 void SqliteGroups::CreateGroup(GroupRecord group, Done done) {

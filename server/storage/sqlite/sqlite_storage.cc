@@ -9,6 +9,7 @@
 
 #include "server/base/status.h"
 #include "server/storage/free_space.h"
+#include "server/storage/kept_answer.h"
 #include "server/storage/sqlite/batch_rows.h"
 #include "server/storage/sqlite/check_rows.h"
 #include "server/storage/sqlite/pair_rows.h"
@@ -44,22 +45,13 @@ class SqliteStorage : public SqliteReader {
       VehicleRecord record,
       std::function<void(absl::StatusOr<VehicleKey>)> done) override {
     const std::size_t bytes = record.payload.size();
-    auto key = std::make_shared<VehicleKey>(0);
+    const KeptAnswer<VehicleKey> key;
     Submit(
         bytes,
         [record = std::move(record), key](SqliteDatabase& database) {
-          const absl::StatusOr<VehicleKey> inserted =
-              InsertVehicle(database, record);
-          if (inserted.ok()) *key = *inserted;
-          return inserted.status();
+          return key.Keep(InsertVehicle(database, record));
         },
-        [key, done = std::move(done)](absl::Status status) {
-          if (!status.ok()) {
-            done(std::move(status));
-          } else {
-            done(*key);
-          }
-        });
+        key.Then(std::move(done)));
   }
 
   void UpdateVehicle(VehicleKey key, std::string payload,
