@@ -26,6 +26,8 @@ std::string Printable(std::string text) {
   return text;
 }
 
+std::string BeyondPrefix(const std::string& prefix) { return prefix + "\x7f"; }
+
 absl::Status UnknownVehicle(const std::string& which) {
   return Error(StatusCode::kNotFound, "VEHICLE_NOT_FOUND",
                "no such vehicle: " + which);

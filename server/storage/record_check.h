@@ -18,6 +18,9 @@ namespace revisit::server {
 // Makes text from a store that may be damaged fit for a message: characters
 // other than printable ASCII become question marks. Valid ids have none.
 std::string Printable(std::string text);
+// The text before which all valid ids with this prefix come, and behind which
+// none does: ids are ASCII.
+std::string BeyondPrefix(const std::string& prefix);
 
 // ---- Errors
 

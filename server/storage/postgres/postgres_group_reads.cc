@@ -6,6 +6,7 @@
 
 #include "server/base/status.h"
 #include "server/storage/group_check.h"
+#include "server/storage/postgres/postgres_reads.h"
 #include "server/storage/record_check.h"
 
 namespace revisit::server {
@@ -38,8 +39,6 @@ constexpr Statement kListMembers = {
     "SELECT m.vehicle_key, v.id, m.format, m.checksum, m.payload FROM "
     "group_members m JOIN vehicles v ON v.key = m.vehicle_key WHERE m.group_id "
     "= $1::text AND v.id > $2::text ORDER BY v.id LIMIT $3::int8"};
-constexpr Statement kIsVehicle = {
-    "is_vehicle", "SELECT key FROM vehicles WHERE key = $1::int8"};
 constexpr Statement kGroupsOf = {
     "groups_of",
     "SELECT group_id FROM group_members WHERE vehicle_key = $1::int8 ORDER BY "
@@ -99,13 +98,6 @@ absl::StatusOr<GroupRecord> ReadGroup(PostgresConnection& connection,
   return GroupAt(*rows, 0);
 }
 
-absl::Status CheckIsVehicle(PostgresConnection& connection,
-                            VehicleKey vehicle) {
-  const auto rows = connection.Run(kIsVehicle, Parameters().Add(vehicle));
-  if (!rows.ok()) return rows.status();
-  return rows->size() > 0 ? absl::OkStatus() : UnknownVehicle(vehicle);
-}
-
 }  // namespace
 
 absl::StatusOr<bool> KeepsGroups(PostgresConnection& connection) {
@@ -153,9 +145,8 @@ absl::StatusOr<std::vector<GroupRecord>> FindGroups(
   const absl::StatusOr<bool> keeps = KeepsGroups(connection);
   if (!keeps.ok()) return keeps.status();
   if (!*keeps) return groups;
-  // Ids are ASCII.
   Parameters parameters;
-  parameters.AddText(after_id).AddText(prefix).AddText(prefix + "\x7f");
+  parameters.AddText(after_id).AddText(prefix).AddText(BeyondPrefix(prefix));
   const auto rows = connection.Run(kFindGroups, AddLimit(limit, &parameters));
   if (!rows.ok()) return rows.status();
   for (int i = 0; i < rows->size(); ++i) groups.push_back(GroupAt(*rows, i));
@@ -209,7 +200,7 @@ absl::StatusOr<std::vector<GroupMemberRecord>> FindMembers(
 absl::StatusOr<std::vector<std::string>> FindGroupsOf(
     PostgresConnection& connection, VehicleKey vehicle) {
   std::vector<std::string> ids;
-  const absl::Status is_vehicle = CheckIsVehicle(connection, vehicle);
+  const absl::Status is_vehicle = VehicleId(connection, vehicle).status();
   if (!is_vehicle.ok()) return is_vehicle;
   const absl::StatusOr<bool> keeps = KeepsGroups(connection);
   if (!keeps.ok()) return keeps.status();
@@ -240,7 +231,7 @@ absl::StatusOr<std::vector<PlacedLink>> FindLinksOf(
     PostgresConnection& connection, VehicleKey vehicle, const LinkPlace& after,
     int limit) {
   std::vector<PlacedLink> links;
-  const absl::Status is_vehicle = CheckIsVehicle(connection, vehicle);
+  const absl::Status is_vehicle = VehicleId(connection, vehicle).status();
   if (!is_vehicle.ok()) return is_vehicle;
   const absl::StatusOr<bool> keeps = KeepsGroups(connection);
   if (!keeps.ok()) return keeps.status();

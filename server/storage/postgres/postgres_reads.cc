@@ -164,6 +164,14 @@ class Snapshot {
 
 }  // namespace
 
+absl::StatusOr<std::string> VehicleId(PostgresConnection& connection,
+                                      VehicleKey key) {
+  const auto rows = connection.Run(kVehicleId, Parameters().Add(key));
+  if (!rows.ok()) return rows.status();
+  if (rows->size() == 0) return UnknownVehicle(key);
+  return Printable(rows->Bytes(0, 0));
+}
+
 absl::StatusOr<VehicleRecord> FindVehicle(PostgresConnection& connection,
                                           const std::string& id) {
   const auto rows = connection.Run(kFindVehicle, Parameters().AddText(id));
@@ -175,12 +183,11 @@ absl::StatusOr<VehicleRecord> FindVehicle(PostgresConnection& connection,
 absl::StatusOr<std::vector<VehicleRecord>> FindVehicles(
     PostgresConnection& connection, const std::string& after_id,
     const std::string& prefix, int limit) {
-  // Ids are ASCII.
   const auto rows =
       connection.Run(kFindVehicles, Parameters()
                                         .AddText(after_id)
                                         .AddText(prefix)
-                                        .AddText(prefix + "\x7f")
+                                        .AddText(BeyondPrefix(prefix))
                                         .Add(std::int64_t{std::max(limit, 0)}));
   if (!rows.ok()) return rows.status();
   std::vector<VehicleRecord> records;
@@ -247,15 +254,13 @@ absl::Status VisitBatches(PostgresConnection& connection, VehicleKey key,
 absl::StatusOr<std::vector<PosePairRecord>> FindPosePairs(
     PostgresConnection& connection, VehicleKey key, PairKind kind,
     const std::string& after_id, int limit) {
-  const auto vehicle = connection.Run(kVehicleId, Parameters().Add(key));
-  if (!vehicle.ok()) return vehicle.status();
-  if (vehicle->size() == 0) return UnknownVehicle(key);
+  const absl::StatusOr<std::string> vehicle_id = VehicleId(connection, key);
+  if (!vehicle_id.ok()) return vehicle_id.status();
   const auto rows = connection.Run(
       kind == PairKind::kLoopClosure ? kListClosures : kListRejections,
       Parameters().Add(key).AddText(after_id).Add(
           std::int64_t{std::max(limit, 0)}));
   if (!rows.ok()) return rows.status();
-  const std::string vehicle_id = Printable(vehicle->Bytes(0, 0));
   std::vector<PosePairRecord> pairs;
   for (int i = 0; i < rows->size(); ++i) {
     PosePairRecord pair;
@@ -265,7 +270,7 @@ absl::StatusOr<std::vector<PosePairRecord>> FindPosePairs(
     pair.create_time_ns = rows->Integer(i, 4);
     pair.payload = rows->Bytes(i, 6);
     CheckPosePairRow(rows->Integer(i, 1), rows->Integer(i, 5), key, kind,
-                     vehicle_id, &pair);
+                     *vehicle_id, &pair);
     pairs.push_back(std::move(pair));
   }
   return pairs;
@@ -273,13 +278,11 @@ absl::StatusOr<std::vector<PosePairRecord>> FindPosePairs(
 
 absl::StatusOr<std::vector<DeletedPairRecord>> FindDeletedPairs(
     PostgresConnection& connection, VehicleKey key) {
-  const auto vehicle = connection.Run(kVehicleId, Parameters().Add(key));
-  if (!vehicle.ok()) return vehicle.status();
-  if (vehicle->size() == 0) return UnknownVehicle(key);
+  const absl::StatusOr<std::string> vehicle_id = VehicleId(connection, key);
+  if (!vehicle_id.ok()) return vehicle_id.status();
   std::vector<DeletedPairRecord> all;
   const auto rows = connection.Run(kListDeletedPairs, Parameters().Add(key));
   if (!rows.ok()) return rows.status();
-  const std::string vehicle_id = Printable(vehicle->Bytes(0, 0));
   for (int i = 0; i < rows->size(); ++i) {
     DeletedPairRecord deleted;
     deleted.number = Unsigned(rows->Integer(i, 0));
@@ -290,7 +293,7 @@ absl::StatusOr<std::vector<DeletedPairRecord>> FindDeletedPairs(
     deleted.delete_time_ns = rows->Integer(i, 7);
     deleted.pair.payload = rows->Bytes(i, 9);
     CheckDeletedPairRow(rows->Integer(i, 3), rows->Integer(i, 8), key,
-                        rows->Integer(i, 1), vehicle_id, &deleted);
+                        rows->Integer(i, 1), *vehicle_id, &deleted);
     all.push_back(std::move(deleted));
   }
   return all;

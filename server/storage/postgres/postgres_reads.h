@@ -17,6 +17,9 @@
 
 namespace revisit::server {
 
+// The vehicle's id, printable; NOT_FOUND if there is no such vehicle.
+absl::StatusOr<std::string> VehicleId(PostgresConnection& connection,
+                                      VehicleKey key);
 absl::StatusOr<VehicleRecord> FindVehicle(PostgresConnection& connection,
                                           const std::string& id);
 absl::StatusOr<std::vector<VehicleRecord>> FindVehicles(

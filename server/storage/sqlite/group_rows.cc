@@ -179,8 +179,7 @@ absl::StatusOr<std::vector<GroupRecord>> FindGroups(SqliteDatabase& database,
                                                     const std::string& prefix,
                                                     int limit) {
   std::vector<GroupRecord> groups;
-  // Ids are ASCII.
-  const std::string beyond = prefix + "\x7f";
+  const std::string beyond = BeyondPrefix(prefix);
   SqliteStatement row = database.Prepare(
       "SELECT id, format, revision, uid, checksum, payload FROM vehicle_groups "
       "WHERE id > ?1 AND id >= ?2 AND id < ?3 ORDER BY id LIMIT ?4");

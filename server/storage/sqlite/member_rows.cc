@@ -8,6 +8,25 @@
 
 namespace revisit::server {
 
+namespace {
+
+absl::Status WriteMember(SqliteDatabase& database, const std::string& group_id,
+                         const GroupMemberRecord& member) {
+  return database
+      .Prepare(
+          "INSERT OR REPLACE INTO group_members (group_id, vehicle_key, "
+          "format, "
+          "checksum, payload) VALUES (?1, ?2, ?3, ?4, ?5)")
+      .BindText(1, group_id)
+      .Bind(2, member.vehicle)
+      .Bind(3, kStoreFormat)
+      .Bind(4, ChecksumOfMember(kStoreFormat, group_id, member))
+      .BindBlob(5, member.payload)
+      .Run();
+}
+
+}  // namespace
+
 absl::Status CheckIsMember(SqliteDatabase& database,
                            const std::string& group_id, VehicleKey vehicle) {
   SqliteStatement row = database.Prepare(
@@ -26,34 +45,16 @@ absl::Status InsertMember(SqliteDatabase& database, const std::string& group_id,
       CheckIsMember(database, group_id, member.vehicle);
   if (is_member.ok()) return MemberExists(group_id, member.vehicle);
   if (!absl::IsNotFound(is_member)) return is_member;
-  return database
-      .Prepare(
-          "INSERT INTO group_members (group_id, vehicle_key, format, checksum, "
-          "payload) VALUES (?1, ?2, ?3, ?4, ?5)")
-      .BindText(1, group_id)
-      .Bind(2, member.vehicle)
-      .Bind(3, kStoreFormat)
-      .Bind(4, ChecksumOfMember(kStoreFormat, group_id, member))
-      .BindBlob(5, member.payload)
-      .Run();
+  return WriteMember(database, group_id, member);
 }
 
 absl::Status ReplaceMember(SqliteDatabase& database,
                            const std::string& group_id,
                            const GroupMemberRecord& member) {
-  const absl::Status status =
-      database
-          .Prepare(
-              "UPDATE group_members SET format = ?3, checksum = ?4, payload = "
-              "?5 WHERE group_id = ?1 AND vehicle_key = ?2")
-          .BindText(1, group_id)
-          .Bind(2, member.vehicle)
-          .Bind(3, kStoreFormat)
-          .Bind(4, ChecksumOfMember(kStoreFormat, group_id, member))
-          .BindBlob(5, member.payload)
-          .Run();
-  if (!status.ok() || database.Changes() > 0) return status;
-  return NoSuchMember(group_id, member.vehicle);
+  const absl::Status is_member =
+      CheckIsMember(database, group_id, member.vehicle);
+  if (!is_member.ok()) return is_member;
+  return WriteMember(database, group_id, member);
 }
 
 absl::Status RemoveMemberRow(SqliteDatabase& database,

@@ -107,8 +107,7 @@ absl::StatusOr<std::vector<VehicleRecord>> FindVehicles(
     SqliteDatabase& database, const std::string& after_id,
     const std::string& prefix, int limit) {
   std::vector<VehicleRecord> records;
-  // Ids are ASCII.
-  const std::string beyond = prefix + "\x7f";
+  const std::string beyond = BeyondPrefix(prefix);
   SqliteStatement row = database.Prepare(
       "SELECT key, id, format, revision, checksum, payload FROM vehicles "
       "WHERE id > ?1 AND id >= ?2 AND id < ?3 ORDER BY id LIMIT ?4");
