@@ -11,8 +11,8 @@
 namespace revisit::core {
 
 struct SearchScope {
-  // Not null. All are searched but the one that asks, and those that cannot be
-  // compared with it (UnsearchedDrive).
+  // Never null. A search looks in all but the one that asks and those that
+  // cannot be compared with it (UnsearchedDrive).
   std::shared_ptr<const JoinedDrives> drives;
   // Which of them asks; nothing where it is none of them, and so without links.
   std::optional<std::size_t> asking = std::nullopt;

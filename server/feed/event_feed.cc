@@ -15,7 +15,7 @@ namespace revisit::server {
 namespace {
 
 constexpr int kEventsPerRead = 500;
-// What the feed takes for an event beside it.
+// The feed indexes each event, which takes about so many bytes beside it.
 constexpr std::size_t kIndexBytes = 64;
 // Events that one call of Newest() looks at, of all vehicles.
 constexpr std::size_t kMostLookedAt = 1000;

@@ -36,7 +36,7 @@ class ConnectionPool {
   // UNAVAILABLE (STORE_UNAVAILABLE) where there is none for so long.
   absl::Status Use(
       const std::function<absl::Status(PostgresConnection&)>& work);
-  // As Use(), with an answer.
+  // Runs `work` as Use() does, and returns its answer.
   template <typename T>
   absl::StatusOr<T> Answer(
       const std::function<absl::StatusOr<T>(PostgresConnection&)>& work) {

@@ -23,7 +23,7 @@ class ReaderPool {
   // Runs `read` on a connection of its own, all of it at one moment of the
   // store.
   absl::Status Read(const std::function<absl::Status(SqliteDatabase&)>& read);
-  // As Read(), with an answer.
+  // Runs `read` as Read() does, and returns its answer.
   template <typename T>
   absl::StatusOr<T> Answer(
       const std::function<absl::StatusOr<T>(SqliteDatabase&)>& read) {

@@ -199,7 +199,7 @@ TEST(SearchScopeTest, OneNewPlaceStandsAgainstAllHistories) {
   // Passes of one place speak for each other, whichever vehicles drove them.
   const CandidateSet alone = Answer(drives.many[2], query, settings.search);
   EXPECT_LT(*set.new_place_probability, *alone.new_place_probability);
-  // What the drive has shown of its scale, it has shown by itself.
+  // Other drives say nothing of the scale of this one.
   EXPECT_EQ(set.scale->scale, alone.scale->scale);
 }
 

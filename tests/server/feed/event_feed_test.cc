@@ -213,7 +213,7 @@ TEST_F(EventFeedTest, AFewVehiclesHaveTheEventsThatAreTheirsAmongAll) {
     const auto last = Newest(feed, read[198]->position, 9);
     return last.has_value() && last->size() == 1;
   }));
-  // Those that are still there.
+  // The feed has dropped the events before these.
   std::vector<FeedEventPtr> kept;
   for (const FeedEventPtr& event : read) {
     if (Newest(feed, event->position, 9)) kept.push_back(event);

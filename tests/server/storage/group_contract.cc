@@ -162,7 +162,7 @@ TEST_P(GroupContract, RefusesWritesOfAGroupThatIsNotAsExpected) {
   const GroupVersion first = {"old", 1};
   ASSERT_THAT(write_groups().Change("fleet", {Add(truck)}, first), IsOk());
   const auto refused = IsError(StatusCode::kAborted, "REVISION_MISMATCH", _);
-  // As it is sent again after its answer was lost.
+  // A caller whose answer was lost sends the change again.
   const auto again = write_groups().Change("fleet", {Add(truck)}, first);
   EXPECT_THAT(again, refused);
   EXPECT_EQ(MetadataOf(again.status(), "revision"), "2");
