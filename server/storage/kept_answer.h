@@ -21,8 +21,9 @@ class KeptAnswer {
  public:
   // Returns the status. The answer of the last attempt counts.
   absl::Status Keep(absl::StatusOr<T> answer) const {
-    if (answer.ok()) *kept_ = *std::move(answer);
-    return answer.status();
+    if (!answer.ok()) return answer.status();
+    *kept_ = *std::move(answer);
+    return absl::OkStatus();
   }
 
   // A call of `done` with the answer, or with the error that the write ended
