@@ -84,27 +84,36 @@ CovarianceFields CovarianceFieldsOf(const Covariance& covariance) {
   return {static_cast<CovarianceForm>(covariance.form()), &covariance.values()};
 }
 
+// A start of kDatum without a label. Datum: a message with the fields of a
+// datum by their names.
+template <typename Datum>
+RecordingStartFields DatumFieldsOf(const Datum& datum) {
+  static const auto* const no_label = new std::string();
+  RecordingStartFields fields;
+  fields.label = no_label;
+  fields.relation = RecordingStartFields::Relation::kDatum;
+  fields.datum_id = &datum.datum_id();
+  if (datum.has_pose()) {
+    const auto& pose = datum.pose();
+    fields.datum_pose = {pose.x_meters(), pose.y_meters(), pose.z_meters(),
+                         pose.heading_radians()};
+  }
+  if (datum.has_covariance()) {
+    fields.covariance = CovarianceFieldsOf(datum.covariance());
+  }
+  return fields;
+}
+
 // Start: a message with the fields of a recording's start by their names.
 template <typename Start>
 RecordingStartFields RecordingStartFieldsOf(const Start& start) {
   using Relation = RecordingStartFields::Relation;
   RecordingStartFields fields;
+  if (start.has_datum()) fields = DatumFieldsOf(start.datum());
   fields.label = &start.label();
   if (start.has_after()) {
     fields.relation = Relation::kAfter;
     fields.covariance = CovarianceFieldsOf(start.after());
-  } else if (start.has_datum()) {
-    const auto& datum = start.datum();
-    fields.relation = Relation::kDatum;
-    fields.datum_id = &datum.datum_id();
-    if (datum.has_pose()) {
-      const auto& pose = datum.pose();
-      fields.datum_pose = {pose.x_meters(), pose.y_meters(), pose.z_meters(),
-                           pose.heading_radians()};
-    }
-    if (datum.has_covariance()) {
-      fields.covariance = CovarianceFieldsOf(datum.covariance());
-    }
   } else if (start.has_unknown()) {
     fields.relation = Relation::kUnknown;
     fields.unknown = start.unknown();
@@ -226,6 +235,22 @@ void SetEstimate(const PoseFields& fields, Pose* pose) {
   }
 }
 
+// `fields` are of kDatum.
+template <typename Datum>
+void SetDatum(const RecordingStartFields& fields, Datum* datum) {
+  datum->set_datum_id(*fields.datum_id);
+  if (fields.datum_pose) {
+    auto* const pose = datum->mutable_pose();
+    pose->set_x_meters((*fields.datum_pose)[0]);
+    pose->set_y_meters((*fields.datum_pose)[1]);
+    pose->set_z_meters((*fields.datum_pose)[2]);
+    pose->set_heading_radians((*fields.datum_pose)[3]);
+  }
+  if (fields.covariance) {
+    SetCovariance(*fields.covariance, datum->mutable_covariance());
+  }
+}
+
 template <typename Start>
 void SetRecordingStart(const RecordingStartFields& fields, Start* start) {
   start->Clear();
@@ -236,21 +261,9 @@ void SetRecordingStart(const RecordingStartFields& fields, Start* start) {
     case RecordingStartFields::Relation::kAfter:
       SetCovariance(*fields.covariance, start->mutable_after());
       break;
-    case RecordingStartFields::Relation::kDatum: {
-      auto* const datum = start->mutable_datum();
-      datum->set_datum_id(*fields.datum_id);
-      if (fields.datum_pose) {
-        auto* const pose = datum->mutable_pose();
-        pose->set_x_meters((*fields.datum_pose)[0]);
-        pose->set_y_meters((*fields.datum_pose)[1]);
-        pose->set_z_meters((*fields.datum_pose)[2]);
-        pose->set_heading_radians((*fields.datum_pose)[3]);
-      }
-      if (fields.covariance) {
-        SetCovariance(*fields.covariance, datum->mutable_covariance());
-      }
+    case RecordingStartFields::Relation::kDatum:
+      SetDatum(fields, start->mutable_datum());
       break;
-    }
     case RecordingStartFields::Relation::kUnknown:
       start->set_unknown(fields.unknown);
       break;

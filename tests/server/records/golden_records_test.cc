@@ -18,11 +18,13 @@
 #include "core/settings.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "revisit/v1/geometry.pb.h"
 #include "server/conversion/pose_pairs.h"
 #include "server/conversion/vehicle_settings.h"
 #include "server/fields/pose_fields.h"
 #include "server/records/batch_records.h"
 #include "server/records/check_records.h"
+#include "server/records/group_content.h"
 #include "server/records/pair_content.h"
 #include "server/records/proto_record_codec.h"
 #include "tests/server/conversion/conversion_testing.h"
@@ -653,6 +655,69 @@ TEST(GoldenRecordTest, RejectedCandidatesAreWrittenAndReadAsEver) {
   // Records from before there were notes have no payload.
   EncodePosePair("v", {"9-3", 9, 3, 0, ""}, &answer);
   EXPECT_EQ(answer.note(), "");
+}
+
+constexpr char kGoldenGroup[] =
+    "0a054e6967687412260a1b090000000000c040c0110000000000e86240190000000000"
+    "001c4011000000000000f83f1a080880e2cfaa061001";
+constexpr char kGoldenMember[] =
+    "0a590a0473697465121b0900000000000024401100000000000034c021000000000000"
+    "e03f1a3408011230000000000000f03f00000000000000000000000000000000000000"
+    "000000f03f0000000000000000000000000000d03f";
+constexpr char kGoldenLink[] =
+    "0a19120369637019000000000000e0bf2209746f6b656e3a65766112080880e2cfaa06"
+    "1001";
+
+TEST(GoldenRecordTest, GroupsAreWrittenAndReadAsEver) {
+  GroupContent content;
+  content.display_name = "Night";
+  content.settings = {GeodeticOrigin{-33.5, 151.25, 7.0}, 1.5};
+  content.create_time_ns = 1700000000000000001;
+  EXPECT_EQ(Hex(EncodeGroupContent(content)), kGoldenGroup);
+  const auto read = DecodeGroupContent(Bytes(kGoldenGroup));
+  ASSERT_THAT(read, IsOk());
+  EXPECT_EQ(read->display_name, content.display_name);
+  EXPECT_EQ(read->settings, content.settings);
+  EXPECT_EQ(read->create_time_ns, content.create_time_ns);
+}
+
+TEST(GoldenRecordTest, MembersOfGroupsAreWrittenAndReadAsEver) {
+  const auto datum = FromText<v1::Datum>(R"pb(
+    datum_id: "site"
+    pose { x_meters: 10 y_meters: -20 heading_radians: 0.5 }
+    covariance {
+      form: COVARIANCE_FORM_PLANAR_6
+      values: [ 1, 0, 0, 1, 0, 0.25 ]
+    }
+  )pb");
+  const RecordingStartFields fields = DatumFieldsOf(datum);
+  EXPECT_EQ(Hex(EncodeMemberContent(&fields)), kGoldenMember);
+  v1::Datum read;
+  EXPECT_THAT(ReadMemberContent(Bytes(kGoldenMember),
+                                [&](const RecordingStartFields* stored) {
+                                  ASSERT_NE(stored, nullptr);
+                                  SetDatum(*stored, &read);
+                                }),
+              IsOk());
+  EXPECT_EQ(read.SerializeAsString(), datum.SerializeAsString());
+}
+
+TEST(GoldenRecordTest, LinksOfGroupsAreWrittenAndReadAsEver) {
+  LinkContent link;
+  link.content.note = "icp";
+  link.content.score = -0.5;
+  link.content.decided_by = "token:eva";
+  link.create_time_ns = 1700000000000000001;
+  EXPECT_EQ(Hex(EncodeLinkContent(link)), kGoldenLink);
+  EXPECT_THAT(ReadLinkContent(Bytes(kGoldenLink),
+                              [&](const LinkContent& read) {
+                                EXPECT_EQ(read.content.note, "icp");
+                                EXPECT_EQ(read.content.score, -0.5);
+                                EXPECT_EQ(read.content.decided_by, "token:eva");
+                                EXPECT_EQ(read.create_time_ns,
+                                          link.create_time_ns);
+                              }),
+              IsOk());
 }
 
 }  // namespace
