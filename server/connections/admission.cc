@@ -297,12 +297,19 @@ absl::StatusOr<Permit> Admission::Call(const std::string& caller) {
 }
 
 absl::StatusOr<Permit> Admission::CallOf(const std::string& vehicle) {
-  if (vehicle_calls_->Take(vehicle, 1) != Pool::Outcome::kTaken) {
-    return OverQuota("max-calls-per-vehicle", "QUEUE_FULL",
-                     "vehicles/" + vehicle, "calls that wait or run",
-                     limits_.max_calls_per_vehicle);
+  return CallAt("vehicles/" + vehicle);
+}
+
+absl::StatusOr<Permit> Admission::CallOfGroup(const std::string& group) {
+  return CallAt("groups/" + group);
+}
+
+absl::StatusOr<Permit> Admission::CallAt(const std::string& name) {
+  if (vehicle_calls_->Take(name, 1) != Pool::Outcome::kTaken) {
+    return OverQuota("max-calls-per-vehicle", "QUEUE_FULL", name,
+                     "calls that wait or run", limits_.max_calls_per_vehicle);
   }
-  return Pool::MakePermit(vehicle_calls_, vehicle, 1);
+  return Pool::MakePermit(vehicle_calls_, name, 1);
 }
 
 absl::StatusOr<Permit> Admission::Rebuild(const std::string& caller,

@@ -51,6 +51,8 @@ class Admission {
   // Room for that call at a vehicle, once it is known which one it is about:
   // QUEUE_FULL.
   absl::StatusOr<Permit> CallOf(const std::string& vehicle);
+  // The same at a group, which may have as many as a vehicle.
+  absl::StatusOr<Permit> CallOfGroup(const std::string& group);
   // Room for a call, beside its other permits, to make the graph of a vehicle
   // with so many poses anew: OVERLOADED, or QUEUE_FULL of the caller.
   absl::StatusOr<Permit> Rebuild(const std::string& caller, std::int64_t poses);
@@ -119,6 +121,8 @@ class Admission {
 
   absl::Status CheckMemory();
   absl::Status CheckRate(const std::string& caller);
+  // Room for a call at a vehicle or a group of this name.
+  absl::StatusOr<Permit> CallAt(const std::string& name);
   // The refusal of a caller whose bucket has `missing` tokens too little.
   absl::Status OverRate(const char* name, const char* what, double rate,
                         double missing);

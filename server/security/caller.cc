@@ -48,34 +48,46 @@ bool MatchesGlob(const std::string& pattern, const std::string& text) {
   return p == pattern.size();
 }
 
-bool Grant::Covers(const std::string& vehicle_id) const {
-  return StartsWith(vehicle_id, vehicle_prefix) &&
-         std::any_of(vehicle_patterns.begin(), vehicle_patterns.end(),
+bool Grant::Covers(const std::string& id, Resource resource) const {
+  const std::vector<std::string>& patterns = PatternsOf(resource);
+  return StartsWith(id, vehicle_prefix) &&
+         std::any_of(patterns.begin(), patterns.end(),
                      [&](const std::string& pattern) {
-                       return MatchesGlob(pattern, vehicle_id);
+                       return MatchesGlob(pattern, id);
                      });
 }
 
-bool Caller::MaySee(const std::string& vehicle_id) const {
+bool Caller::MaySee(const std::string& id, Resource resource) const {
   if (!grants) return true;
   return std::any_of(grants->begin(), grants->end(), [&](const Grant& grant) {
-    return grant.Covers(vehicle_id);
+    return grant.Covers(id, resource);
   });
 }
 
-bool Caller::May(Verb verb, const std::string& vehicle_id) const {
+bool Caller::May(Verb verb, const std::string& id, Resource resource) const {
   if (!grants) return true;
   return std::any_of(grants->begin(), grants->end(), [&](const Grant& grant) {
-    return grant.Allows(verb) && grant.Covers(vehicle_id);
+    return grant.Allows(verb) && grant.Covers(id, resource);
   });
 }
 
-std::vector<std::string> Caller::PrefixesOf(Verb verb) const {
+bool Caller::AreOfOneTenant(const std::string& id,
+                            const std::string& other) const {
+  return tenant_prefixes == nullptr ||
+         std::all_of(tenant_prefixes->begin(), tenant_prefixes->end(),
+                     [&](const std::string& prefix) {
+                       return StartsWith(id, prefix) ==
+                              StartsWith(other, prefix);
+                     });
+}
+
+std::vector<std::string> Caller::PrefixesOf(Verb verb,
+                                            Resource resource) const {
   if (!grants) return {""};
   std::vector<std::string> prefixes;
   for (const Grant& grant : *grants) {
     if (!grant.Allows(verb)) continue;
-    for (const std::string& pattern : grant.vehicle_patterns) {
+    for (const std::string& pattern : grant.PatternsOf(resource)) {
       const std::string literal = pattern.substr(0, pattern.find('*'));
       if (StartsWith(literal, grant.vehicle_prefix)) {
         prefixes.push_back(literal);

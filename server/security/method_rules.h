@@ -16,8 +16,8 @@ struct MethodRule {
   // among the calls at a time, so that an operator gets an answer from a server
   // that is full.
   std::optional<Verb> verb;
-  // Whether the method names a vehicle that does not exist yet, so that "not
-  // found" would make no sense.
+  // Whether the method names a vehicle or a group that does not exist yet, so
+  // that "not found" would make no sense.
   bool creates = false;
   // Whether the call lasts, and so counts as a stream, not as a unary call.
   bool streams = false;

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cstddef>
 #include <initializer_list>
+#include <memory>
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <set>
@@ -51,16 +52,18 @@ absl::StatusOr<std::string> Text(const Json& object, const char* key,
   return found->get<std::string>();
 }
 
-// The texts of a non-empty array, each with its place for messages.
+// The texts of an array, each with its place for messages.
 absl::StatusOr<std::vector<std::pair<std::string, std::string>>> Texts(
-    const Json& object, const char* key, const std::string& where) {
+    const Json& object, const char* key, const std::string& where,
+    bool may_be_empty = false) {
   const std::string path = where + "." + key;
   const auto found = object.find(key);
   if (found == object.end()) {
     return ProblemAt(where, std::string("\"") + key + "\" is missing");
   }
-  if (!found->is_array() || found->empty()) {
-    return ProblemAt(path, "not an array of one text or more");
+  if (!found->is_array() || (found->empty() && !may_be_empty)) {
+    return ProblemAt(path, may_be_empty ? "not an array of texts"
+                                        : "not an array of one text or more");
   }
   std::vector<std::pair<std::string, std::string>> texts;
   for (const Json& element : *found) {
@@ -119,9 +122,8 @@ absl::StatusOr<Tenants> ReadTenants(const Json& list) {
     }
     if (prefix->size() > 62 || !IsOfIdCharacters(*prefix) ||
         prefix->rfind('-', 0) == 0) {
-      return ProblemAt(
-          where + ".vehicle_prefix",
-          "got \"" + *prefix + "\", which no vehicle's id starts with");
+      return ProblemAt(where + ".vehicle_prefix",
+                       "got \"" + *prefix + "\", which no id starts with");
     }
     auto search_steps = ReadSearchSteps(list[i], where);
     if (!search_steps.ok()) return search_steps.status();
@@ -162,8 +164,9 @@ absl::StatusOr<std::uint8_t> ReadVerbs(const Json& object,
 }
 
 absl::StatusOr<std::vector<std::string>> ReadPatterns(
-    const Json& object, bool has_match, const std::string& where) {
-  const auto texts = Texts(object, "vehicles", where);
+    const Json& object, const char* key, bool may_be_empty, bool has_match,
+    const std::string& where) {
+  const auto texts = Texts(object, key, where, may_be_empty);
   if (!texts.ok()) return texts.status();
   std::vector<std::string> patterns;
   for (const auto& [text, at] : *texts) {
@@ -236,10 +239,10 @@ class Policy::Reader {
   static absl::StatusOr<Rule> ReadGrant(const Json& entry,
                                         const std::string& where,
                                         const Tenants& tenants) {
-    if (absl::Status status =
-            CheckObject(entry, where,
-                        {"token_subject", "token_claim", "certificate_uri",
-                         "certificate_dns", "tenant", "vehicles", "verbs"});
+    if (absl::Status status = CheckObject(
+            entry, where,
+            {"token_subject", "token_claim", "certificate_uri",
+             "certificate_dns", "tenant", "vehicles", "groups", "verbs"});
         !status.ok()) {
       return status;
     }
@@ -262,9 +265,15 @@ class Policy::Reader {
           found->second.max_search_steps_per_second;
     }
     const bool has_match = rule.name_pattern.find('*') != std::string::npos;
-    auto patterns = ReadPatterns(entry, has_match, where);
+    auto patterns = ReadPatterns(entry, "vehicles", false, has_match, where);
     if (!patterns.ok()) return patterns.status();
     rule.grant.vehicle_patterns = *std::move(patterns);
+    rule.grant.group_patterns = rule.grant.vehicle_patterns;
+    if (entry.contains("groups")) {
+      auto groups = ReadPatterns(entry, "groups", true, has_match, where);
+      if (!groups.ok()) return groups.status();
+      rule.grant.group_patterns = *std::move(groups);
+    }
     const auto verbs = ReadVerbs(entry, where);
     if (!verbs.ok()) return verbs.status();
     rule.grant.verbs = *verbs;
@@ -352,6 +361,11 @@ absl::StatusOr<Policy> Policy::Parse(const std::string& text) {
   if (!list.is_array()) return ProblemAt("grants", "not an array");
 
   Policy policy;
+  auto prefixes = std::make_shared<std::vector<std::string>>();
+  for (const auto& [name, tenant] : *tenants) {
+    prefixes->push_back(tenant.vehicle_prefix);
+  }
+  policy.tenant_prefixes_ = std::move(prefixes);
   for (std::size_t i = 0; i < list.size(); ++i) {
     absl::StatusOr<Rule> rule =
         Reader::ReadGrant(list[i], absl::StrCat("grants[", i, "]"), *tenants);
@@ -390,7 +404,10 @@ absl::Status Policy::Apply(const Identity& identity, Caller* caller) const {
       if (!matched) continue;
       Grant grant = rule.grant;
       grant.vehicle_patterns = Filled(rule.grant.vehicle_patterns, *matched);
-      if (grant.vehicle_patterns.empty()) continue;
+      grant.group_patterns = Filled(rule.grant.group_patterns, *matched);
+      if (grant.vehicle_patterns.empty() && grant.group_patterns.empty()) {
+        continue;
+      }
       tenants.insert(rule.tenant);
       steps = rule.max_search_steps_per_second;
       grants.push_back(std::move(grant));
@@ -407,6 +424,7 @@ absl::Status Policy::Apply(const Identity& identity, Caller* caller) const {
   caller->tenant = *tenants.begin();
   caller->max_search_steps_per_second = steps;
   caller->grants = std::move(grants);
+  caller->tenant_prefixes = tenant_prefixes_;
   return absl::OkStatus();
 }
 

@@ -1,4 +1,4 @@
-// Who may do what with which vehicles: a file of JSON.
+// Who may do what with which vehicles and groups: a file of JSON.
 //
 //   {
 //     "version": 1,
@@ -15,8 +15,8 @@
 //     ]
 //   }
 //
-// A vehicle belongs to the tenant whose prefix its id starts with. No prefix
-// may be the start of another, so no vehicle can belong to two.
+// A vehicle belongs to the tenant whose prefix its id starts with, and so does
+// a group. No prefix may be the start of another, so none can belong to two.
 //
 // A tenant may have a budget of what the searches of its FindCandidates calls
 // compare, in steps as --max-search-steps counts them; [1, 1e15] a second. It
@@ -32,10 +32,12 @@
 // `/`. Then it lists vehicles by patterns over the whole id, in which any
 // number of `*` stand for any characters, and `{match}` for the text that the
 // `*` above matched (nothing is granted unless that is made of lower-case
-// letters, digits and hyphens); and the verbs that are granted: "read",
-// "write", "admin", none of which includes another. Patterns never reach beyond
-// the tenant's prefix. The tenant "*" has all vehicles; it is for those who run
-// the fleet.
+// letters, digits and hyphens); it may list "groups" by patterns of the same
+// form over the ids of groups, where otherwise those of vehicles hold for
+// groups too, and an empty list grants none; and it has the verbs that are
+// granted: "read", "write", "admin", none of which includes another. Patterns
+// never reach beyond the tenant's prefix. The tenant "*" has all vehicles and
+// groups; it is for those who run the fleet.
 //
 // All grants that fit count together. They have to belong to one tenant: an
 // identity with grants of two tenants is refused, rather than guessed at.
@@ -47,6 +49,7 @@
 #define REVISIT_SERVER_SECURITY_POLICY_H_
 
 #include <map>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
@@ -101,6 +104,8 @@ class Policy {
                                            const Identity& identity);
 
   std::vector<Rule> rules_;
+  // See Caller.
+  std::shared_ptr<const std::vector<std::string>> tenant_prefixes_;
 };
 
 }  // namespace revisit::server

@@ -62,10 +62,20 @@ Call::Call(grpc::CallbackServerContext* context, const char* method,
 absl::Status Call::ChooseVehicle(const std::string& id) {
   record_.NameVehicle(id);
   searches_.ChooseVehicle(id);
-  if (absl::Status status = rights_.ChooseVehicle(id); !status.ok()) {
+  if (absl::Status status = rights_.Choose(Resource::kVehicle, id);
+      !status.ok()) {
     return status;
   }
   return room_.ChooseVehicle(id);
+}
+
+absl::Status Call::ChooseGroup(const std::string& id) {
+  record_.NameGroup(id);
+  if (absl::Status status = rights_.Choose(Resource::kGroup, id);
+      !status.ok()) {
+    return status;
+  }
+  return room_.ChooseGroup(id);
 }
 
 void Call::MarkGivenUp() {

@@ -43,6 +43,9 @@ class Call {
   // not use this method on it; STREAM_QUOTA or QUEUE_FULL if the vehicle has as
   // many streams, or as many unary calls, as it may have.
   absl::Status ChooseVehicle(const std::string& id);
+  // The same of the group that the call is about: GROUP_NOT_FOUND in the place
+  // of VEHICLE_NOT_FOUND. Groups share the limit of calls per vehicle.
+  absl::Status ChooseGroup(const std::string& id);
 
   CallerRights& rights() { return rights_; }
   const CallerRights& rights() const { return rights_; }

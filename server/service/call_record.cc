@@ -49,6 +49,11 @@ void CallRecord::NameVehicle(const std::string& id) {
   vehicle_ = id;
 }
 
+void CallRecord::NameGroup(const std::string& id) {
+  const MutexLock lock(&mutex_);
+  group_ = id;
+}
+
 void CallRecord::NameChanged(const std::string& id) {
   const MutexLock lock(&mutex_);
   changed_ = id;
@@ -99,6 +104,7 @@ void CallRecord::LogCall(const absl::Status& told, const std::string& message,
               {{"request_id", origin_.request_id},
                {"method", method_},
                {"vehicle", vehicle_},
+               {"group", group_},
                {"tenant", caller_->tenant},
                {"caller", caller_->identity},
                {"code", CodeName(told.raw_code())},
@@ -113,6 +119,7 @@ void CallRecord::LogChange(const absl::Status& told) const {
   audit_->Write({{"request_id", origin_.request_id},
                  {"method", method_},
                  {"vehicle", vehicle_},
+                 {"group", group_},
                  {"id", changed_},
                  {"tenant", caller_->tenant},
                  {"caller", caller_->identity},
@@ -130,6 +137,7 @@ void CallRecord::LogSlow(const char* event, Duration duration,
                 {{"request_id", origin_.request_id},
                  {"method", method_},
                  {"vehicle", vehicle_},
+                 {"group", group_},
                  {"trace_id", origin_.trace.trace_id},
                  {"parent_id", origin_.trace.parent_id},
                  {"duration_ms", MillisecondsOf(duration)}});
@@ -139,6 +147,7 @@ void CallRecord::LogSlow(const char* event, Duration duration,
               {{"request_id", origin_.request_id},
                {"method", method_},
                {"vehicle", vehicle_},
+               {"group", group_},
                {"trace_id", origin_.trace.trace_id},
                {"parent_id", origin_.trace.parent_id},
                {"duration_ms", MillisecondsOf(duration)},

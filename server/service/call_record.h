@@ -46,8 +46,9 @@ class CallRecord {
   // The caller outlives this.
   void NameCaller(const Caller& caller);
   void NameVehicle(const std::string& id);
-  // Names the finding that the call is about, beside its vehicle, for the log
-  // of changes.
+  void NameGroup(const std::string& id);
+  // Names the finding that the call is about, beside its vehicle or group, for
+  // the log of changes.
   void NameChanged(const std::string& id);
 
   // Counts a search, admitted or of a stream's check, and logs it if it was
@@ -101,6 +102,7 @@ class CallRecord {
 
   Mutex mutex_;
   std::string vehicle_ ABSL_GUARDED_BY(mutex_);
+  std::string group_ ABSL_GUARDED_BY(mutex_);
   std::string changed_ ABSL_GUARDED_BY(mutex_);
   // The search of a unary call.
   std::optional<SearchNumbers> search_ ABSL_GUARDED_BY(mutex_);

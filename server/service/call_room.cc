@@ -22,6 +22,12 @@ absl::Status CallRoom::ChooseVehicle(const std::string& id) {
                              : admission_->CallOf(id));
 }
 
+absl::Status CallRoom::ChooseGroup(const std::string& id) {
+  const MutexLock lock(&mutex_);
+  if (rule_ == nullptr) return absl::OkStatus();
+  return Hold(admission_->CallOfGroup(id));
+}
+
 absl::Status CallRoom::TakeRebuild(std::uint64_t poses) {
   const MutexLock lock(&mutex_);
   return Hold(

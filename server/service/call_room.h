@@ -33,6 +33,8 @@ class CallRoom {
   absl::Status Enter(const std::string& quota_key);
   // Takes room for the call at the vehicle that it is about.
   absl::Status ChooseVehicle(const std::string& id);
+  // The same at the group that it is about.
+  absl::Status ChooseGroup(const std::string& id);
 
   // The others come after ChooseVehicle().
 

@@ -5,6 +5,7 @@
 
 #include "absl/status/statusor.h"
 #include "server/base/status.h"
+#include "server/storage/group_check.h"
 
 namespace revisit::server {
 namespace {
@@ -37,28 +38,42 @@ Verb CallerRights::MethodVerb() const {
   return rule_->verb.value_or(Verb::kAdmin);
 }
 
-absl::Status CallerRights::Check(const Caller& caller,
-                                 const std::string& vehicle, Verb verb) const {
-  if (caller.May(verb, vehicle)) return absl::OkStatus();
+absl::Status CallerRights::Check(const Caller& caller, const Need& need) const {
+  const auto& [verb, resource, id] = need;
+  if (caller.May(verb, id, resource)) return absl::OkStatus();
+  const bool is_vehicle = resource == Resource::kVehicle;
   const bool creates = rule_ != nullptr && rule_->creates;
-  if (!caller.MaySee(vehicle) && !creates) return VehicleNotFound(vehicle);
+  if (!caller.MaySee(id, resource) && !creates) {
+    return is_vehicle ? VehicleNotFound(id) : NoSuchGroup(id);
+  }
   return Error(absl::StatusCode::kPermissionDenied, "NOT_GRANTED",
                std::string(method_) + " needs the verb " + VerbName(verb) +
-                   " on this vehicle, which is not granted to the caller",
+                   (is_vehicle ? " on this vehicle" : " on this group") +
+                   ", which is not granted to the caller",
                {{"verb", VerbName(verb)}});
 }
 
-absl::Status CallerRights::ChooseVehicle(const std::string& id) {
+absl::Status CallerRights::AddNeed(Need need) {
+  needs_.insert(needs_.begin(), std::move(need));
+  return Check(*caller_, needs_.front());
+}
+
+absl::Status CallerRights::Choose(Resource resource, const std::string& id) {
   const MutexLock lock(&mutex_);
-  vehicle_ = id;
-  needs_ = {MethodVerb()};
-  return Check(*caller_, vehicle_, MethodVerb());
+  needs_.clear();
+  return AddNeed({MethodVerb(), resource, id});
 }
 
 absl::Status CallerRights::AlsoNeeds(Verb verb) {
   const MutexLock lock(&mutex_);
-  needs_.insert(needs_.begin(), verb);
-  return Check(*caller_, vehicle_, verb);
+  Need need = needs_.back();
+  need.verb = verb;
+  return AddNeed(std::move(need));
+}
+
+absl::Status CallerRights::AlsoNeeds(Verb verb, const std::string& vehicle) {
+  const MutexLock lock(&mutex_);
+  return AddNeed({verb, Resource::kVehicle, vehicle});
 }
 
 std::shared_ptr<const Caller> CallerRights::Now() const {
@@ -72,8 +87,8 @@ absl::Status CallerRights::Recheck() const {
       gatekeeper_->Admit(credentials_, std::chrono::system_clock::now());
   if (!caller.ok()) return caller.status();
   const MutexLock lock(&mutex_);
-  for (const Verb verb : needs_) {
-    if (absl::Status status = Check(**caller, vehicle_, verb); !status.ok()) {
+  for (const Need& need : needs_) {
+    if (absl::Status status = Check(**caller, need); !status.ok()) {
       return status;
     }
   }

@@ -32,13 +32,15 @@ class CallerRights {
   // One who may do nothing, if the caller is not let in.
   const Caller& caller() const { return *caller_; }
 
-  // Names the vehicle that the call is about. VEHICLE_NOT_FOUND if the caller
-  // may not know of the vehicle, whether it exists or not; PERMISSION_DENIED
-  // (NOT_GRANTED) if the caller may not use the method on it.
-  absl::Status ChooseVehicle(const std::string& id);
-  // Checks a further verb, for a call that does more than its method requires.
-  // After ChooseVehicle().
+  // Names the vehicle or group that the call is about. VEHICLE_NOT_FOUND or
+  // GROUP_NOT_FOUND if the caller may not know of it, whether it exists or not;
+  // PERMISSION_DENIED (NOT_GRANTED) if the caller may not use the method on it.
+  absl::Status Choose(Resource resource, const std::string& id);
+  // Checks a further verb on it, for a call that does more than its method
+  // requires. After Choose().
   absl::Status AlsoNeeds(Verb verb);
+  // Checks a verb on a vehicle beside it.
+  absl::Status AlsoNeeds(Verb verb, const std::string& vehicle);
 
   // The caller as one with the same credentials would be now: one who may do
   // nothing, if they would not be let in.
@@ -52,9 +54,15 @@ class CallerRights {
   void Unwatch();
 
  private:
+  struct Need {
+    Verb verb = Verb::kAdmin;
+    Resource resource = Resource::kVehicle;
+    std::string id;
+  };
+
   Verb MethodVerb() const;
-  absl::Status Check(const Caller& caller, const std::string& vehicle,
-                     Verb verb) const;
+  absl::Status Check(const Caller& caller, const Need& need) const;
+  absl::Status AddNeed(Need need) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
 
   Gatekeeper* const gatekeeper_;
   const char* const method_;
@@ -65,10 +73,8 @@ class CallerRights {
   Gatekeeper::WatchId watch_ = -1;
 
   mutable Mutex mutex_;
-  // Empty until it is chosen.
-  std::string vehicle_ ABSL_GUARDED_BY(mutex_);
-  // The verbs that the call needs on it.
-  std::vector<Verb> needs_ ABSL_GUARDED_BY(mutex_);
+  // That of the method on what was chosen is the last one; none until then.
+  std::vector<Need> needs_ ABSL_GUARDED_BY(mutex_);
 };
 
 }  // namespace revisit::server

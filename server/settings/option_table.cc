@@ -333,7 +333,7 @@ void AddWork(Group add, Limits& l) {
   add.Number("max-calls", &l.max_calls, 1, 1000000,
              "Unary calls that may wait or run");
   add.Number("max-calls-per-vehicle", &l.max_calls_per_vehicle, 1, 1000000,
-             "Unary calls about one vehicle that may wait or run");
+             "Unary calls about one vehicle or group that may wait or run");
   add.Number("max-calls-per-caller", &l.max_calls_per_caller, 0, 1000000,
              "Unary calls of one caller that may wait or run; 0: no limit");
   add.Number("max-rebuilt-poses", &l.max_rebuilt_poses, 1000, 1e12,

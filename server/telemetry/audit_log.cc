@@ -15,9 +15,23 @@ namespace revisit::server {
 namespace {
 
 constexpr const char* kMethods[] = {
-    "AcceptDataLoss",    "AddLoopClosure", "CreateVehicle",
-    "DeleteLoopClosure", "DeleteVehicle",  "DeleteRejectedCandidate",
-    "RejectCandidate",   "RevisePoses",    "UpdateVehicle",
+    "AcceptDataLoss",
+    "AddGroupMember",
+    "AddInterVehicleLoopClosure",
+    "AddLoopClosure",
+    "CreateGroup",
+    "CreateVehicle",
+    "DeleteGroup",
+    "DeleteInterVehicleLoopClosure",
+    "DeleteLoopClosure",
+    "DeleteRejectedCandidate",
+    "DeleteVehicle",
+    "RejectCandidate",
+    "RemoveGroupMember",
+    "RevisePoses",
+    "UpdateGroup",
+    "UpdateGroupMember",
+    "UpdateVehicle",
 };
 
 absl::StatusOr<int> OpenToAppend(const std::string& path) {

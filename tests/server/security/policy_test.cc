@@ -71,6 +71,77 @@ TEST(PolicyTest, SubjectHasWhatItsTenantHas) {
   EXPECT_FALSE(caller.MaySee("umbra-7"));
 }
 
+// A policy with a grant of acme's, which has this member besides.
+std::string PolicyWith(const std::string& member) {
+  return R"({"version": 1, "tenants": [
+    {"name": "acme", "vehicle_prefix": "acme-"},
+    {"name": "umbra", "vehicle_prefix": "umbra-"}], "grants": [
+    {"token_subject": "fleet:*", "tenant": "acme", "vehicles": ["acme-{match}-*"],
+     "verbs": ["read", "write"])" +
+         member + "}]}";
+}
+
+absl::StatusOr<Caller> CallerOf(const std::string& policy,
+                                const std::string& subject) {
+  const auto parsed = Policy::Parse(policy);
+  if (!parsed.ok()) return parsed.status();
+  Caller caller;
+  const absl::Status status = parsed->Apply(Subject(subject), &caller);
+  if (!status.ok()) return status;
+  return caller;
+}
+
+TEST(PolicyTest, PatternsOfVehiclesHoldForGroupsWhereThereAreNoOthers) {
+  const auto caller = CallerOf(PolicyWith(""), "fleet:bus");
+  ASSERT_THAT(caller, IsOk());
+  EXPECT_TRUE(caller->May(Verb::kWrite, "acme-bus-1", Resource::kGroup));
+  EXPECT_FALSE(caller->MaySee("acme-tram-1", Resource::kGroup));
+  EXPECT_FALSE(caller->May(Verb::kAdmin, "acme-bus-1", Resource::kGroup));
+}
+
+TEST(PolicyTest, PatternsOfGroupsHoldForGroupsAlone) {
+  const auto caller = CallerOf(
+      PolicyWith(R"(, "groups": ["*{match}-site", "acme-all"])"), "fleet:bus");
+  ASSERT_THAT(caller, IsOk());
+  EXPECT_TRUE(caller->May(Verb::kRead, "acme-bus-site", Resource::kGroup));
+  EXPECT_TRUE(caller->May(Verb::kRead, "acme-all", Resource::kGroup));
+  EXPECT_FALSE(caller->MaySee("acme-bus-1", Resource::kGroup));
+  EXPECT_FALSE(caller->MaySee("acme-all"));
+  // Patterns never reach beyond the tenant's prefix.
+  EXPECT_FALSE(caller->MaySee("umbra-bus-site", Resource::kGroup));
+  EXPECT_EQ(caller->PrefixesOf(Verb::kRead, Resource::kGroup),
+            std::vector<std::string>{"acme-"});
+  EXPECT_EQ(caller->PrefixesOf(Verb::kRead),
+            std::vector<std::string>{"acme-bus-"});
+}
+
+TEST(PolicyTest, EmptyListOfGroupsGrantsNone) {
+  const auto caller = CallerOf(PolicyWith(R"(, "groups": [])"), "fleet:bus");
+  ASSERT_THAT(caller, IsOk());
+  EXPECT_TRUE(caller->MaySee("acme-bus-1"));
+  EXPECT_FALSE(caller->MaySee("acme-bus-1", Resource::kGroup));
+}
+
+TEST(PolicyTest, PatternsOfGroupsAreCheckedAsThoseOfVehicles) {
+  for (const char* groups : {R"("*")", R"(["A"])", R"([1])", R"([""])"}) {
+    EXPECT_THAT(
+        Policy::Parse(PolicyWith(std::string(R"(, "groups": )") + groups))
+            .status(),
+        IsError(StatusCode::kInvalidArgument, _, HasSubstr("grants[0].groups")))
+        << groups;
+  }
+}
+
+TEST(PolicyTest, CallerKnowsWhichIdsAreOfOneTenant) {
+  const auto caller = CallerOf(PolicyWith(""), "fleet:bus");
+  ASSERT_THAT(caller, IsOk());
+  EXPECT_TRUE(caller->AreOfOneTenant("acme-1", "acme-2"));
+  EXPECT_TRUE(caller->AreOfOneTenant("nobodys-1", "nobodys-2"));
+  EXPECT_FALSE(caller->AreOfOneTenant("acme-1", "umbra-1"));
+  EXPECT_FALSE(caller->AreOfOneTenant("acme-1", "nobodys-1"));
+  EXPECT_TRUE(Caller().AreOfOneTenant("acme-1", "umbra-1"));
+}
+
 TEST(PolicyTest, MatchStandsForWhatTheStarOfTheNameMatched) {
   const Caller caller = CallerFor(Uri("spiffe://fleet.example/acme/bus-7"));
   EXPECT_TRUE(caller.May(Verb::kWrite, "acme-bus-7"));

@@ -28,7 +28,7 @@ class OneCaller final : public Gatekeeper {
   void Grant(std::uint8_t verbs) {
     Caller caller;
     caller.tenant = "a";
-    caller.grants = {{{"a-", {"*"}, verbs}}};
+    caller.grants = {{{"a-", {"*"}, verbs, {"*group"}}}};
     answer_ = std::make_shared<const Caller>(std::move(caller));
   }
   void Refuse(absl::Status refusal) { answer_ = std::move(refusal); }
@@ -69,15 +69,39 @@ TEST_F(CallerRightsTest, VehicleThatTheCallerMayNotSeeDoesNotExist) {
   gatekeeper_.Grant(kRead);
   CallerRights rights = RightsFor("GetVehicle");
   ASSERT_THAT(rights.entry(), IsOk());
-  EXPECT_THAT(rights.ChooseVehicle("a-1"), IsOk());
-  EXPECT_THAT(rights.ChooseVehicle("b-1"),
+  EXPECT_THAT(rights.Choose(Resource::kVehicle, "a-1"), IsOk());
+  EXPECT_THAT(rights.Choose(Resource::kVehicle, "b-1"),
               IsError(StatusCode::kNotFound, "VEHICLE_NOT_FOUND", _));
+}
+
+TEST_F(CallerRightsTest, GroupThatTheCallerMayNotSeeDoesNotExist) {
+  gatekeeper_.Grant(kRead);
+  CallerRights rights = RightsFor("GetGroup");
+  EXPECT_THAT(rights.Choose(Resource::kGroup, "a-group"), IsOk());
+  // One of vehicles alone.
+  EXPECT_THAT(rights.Choose(Resource::kGroup, "a-1"),
+              IsError(StatusCode::kNotFound, "GROUP_NOT_FOUND", _));
+  EXPECT_THAT(RightsFor("UpdateGroup").Choose(Resource::kGroup, "a-group"),
+              IsError(StatusCode::kPermissionDenied, "NOT_GRANTED",
+                      HasSubstr("verb write on this group")));
+}
+
+TEST_F(CallerRightsTest, FurtherVehiclesAreChecked) {
+  gatekeeper_.Grant(kRead | kWrite);
+  CallerRights rights = RightsFor("AddGroupMember");
+  ASSERT_THAT(rights.Choose(Resource::kGroup, "a-group"), IsOk());
+  EXPECT_THAT(rights.AlsoNeeds(Verb::kWrite, "a-1"), IsOk());
+  EXPECT_THAT(rights.AlsoNeeds(Verb::kWrite, "b-1"),
+              IsError(StatusCode::kNotFound, "VEHICLE_NOT_FOUND", _));
+  EXPECT_THAT(rights.AlsoNeeds(Verb::kAdmin, "a-1"),
+              IsError(StatusCode::kPermissionDenied, "NOT_GRANTED",
+                      HasSubstr("verb admin on this vehicle")));
 }
 
 TEST_F(CallerRightsTest, RefusalNamesTheVerbThatIsMissing) {
   gatekeeper_.Grant(kRead);
   CallerRights rights = RightsFor("StreamPoses");
-  EXPECT_THAT(rights.ChooseVehicle("a-1"),
+  EXPECT_THAT(rights.Choose(Resource::kVehicle, "a-1"),
               IsError(StatusCode::kPermissionDenied, "NOT_GRANTED",
                       HasSubstr("StreamPoses needs the verb write")));
 }
@@ -85,14 +109,14 @@ TEST_F(CallerRightsTest, RefusalNamesTheVerbThatIsMissing) {
 TEST_F(CallerRightsTest, VehicleThatIsToBeCreatedIsNotCalledMissing) {
   gatekeeper_.Grant(kRead);
   CallerRights rights = RightsFor("CreateVehicle");
-  EXPECT_THAT(rights.ChooseVehicle("b-1"),
+  EXPECT_THAT(rights.Choose(Resource::kVehicle, "b-1"),
               IsError(StatusCode::kPermissionDenied, "NOT_GRANTED", _));
 }
 
 TEST_F(CallerRightsTest, RecheckFindsThatAVerbWasLost) {
   gatekeeper_.Grant(kWrite);
   CallerRights rights = RightsFor("StreamPoses");
-  ASSERT_THAT(rights.ChooseVehicle("a-1"), IsOk());
+  ASSERT_THAT(rights.Choose(Resource::kVehicle, "a-1"), IsOk());
   EXPECT_THAT(rights.Recheck(), IsOk());
   gatekeeper_.Grant(kRead);
   EXPECT_THAT(rights.Recheck(),
@@ -103,7 +127,7 @@ TEST_F(CallerRightsTest, RecheckFindsThatAVerbWasLost) {
 TEST_F(CallerRightsTest, RecheckFindsThatAFurtherVerbWasLost) {
   gatekeeper_.Grant(kRead | kWrite);
   CallerRights rights = RightsFor("StreamPoses");
-  ASSERT_THAT(rights.ChooseVehicle("a-1"), IsOk());
+  ASSERT_THAT(rights.Choose(Resource::kVehicle, "a-1"), IsOk());
   ASSERT_THAT(rights.AlsoNeeds(Verb::kRead), IsOk());
   EXPECT_THAT(rights.Recheck(), IsOk());
   gatekeeper_.Grant(kWrite);
