@@ -12,6 +12,9 @@ namespace {
 
 constexpr char kInvalidName[] = "INVALID_RESOURCE_NAME";
 constexpr char kVehicles[] = "vehicles/";
+constexpr char kGroups[] = "groups/";
+constexpr char kMembers[] = "/members/";
+constexpr char kGroupLinks[] = "/loopClosures/";
 constexpr char kChecks[] = "/checks/";
 constexpr char kCandidates[] = "/candidates/";
 
@@ -24,6 +27,41 @@ bool ReadNumber(const std::string& text, std::uint64_t* number) {
 
 std::string CollectionOf(PairKind kind) {
   return absl::StrCat("/", WordsOf(kind).collection, "/");
+}
+
+// The id in a name that is `collection` and an id; `form` is that of the name.
+absl::StatusOr<std::string> ParseTopName(const std::string& collection,
+                                         const char* form,
+                                         const std::string& name,
+                                         const FieldPath& path) {
+  if (name.compare(0, collection.size(), collection) != 0) {
+    return InvalidField(
+        kInvalidName, path,
+        absl::StrCat("got ", Quoted(name), "; the form is ", form));
+  }
+  const std::string id = name.substr(collection.size());
+  if (absl::Status status = CheckId(id, path); !status.ok()) return status;
+  return id;
+}
+
+// The ids in a name of a group, `collection` and an id.
+absl::StatusOr<NameInGroup> ParseNameInGroup(const std::string& collection,
+                                             const char* form,
+                                             const std::string& name,
+                                             const FieldPath& path) {
+  const std::size_t at = name.rfind(collection);
+  if (at == std::string::npos) {
+    return InvalidField(
+        kInvalidName, path,
+        absl::StrCat("got ", Quoted(name), "; the form is ", form));
+  }
+  absl::StatusOr<std::string> group = ParseGroupName(name.substr(0, at), path);
+  if (!group.ok()) return group.status();
+  NameInGroup parsed{*std::move(group), name.substr(at + collection.size())};
+  if (absl::Status status = CheckId(parsed.id, path); !status.ok()) {
+    return status;
+  }
+  return parsed;
 }
 
 }  // namespace
@@ -56,6 +94,19 @@ std::string CheckCandidateName(const std::string& vehicle_id,
   return absl::StrCat(CheckName(vehicle_id, sequence), kCandidates, number);
 }
 
+std::string GroupName(const std::string& group_id) {
+  return kGroups + group_id;
+}
+
+std::string MemberName(const std::string& group_id,
+                       const std::string& vehicle_id) {
+  return absl::StrCat(GroupName(group_id), kMembers, vehicle_id);
+}
+
+std::string GroupLinkName(const std::string& group_id, const std::string& id) {
+  return absl::StrCat(GroupName(group_id), kGroupLinks, id);
+}
+
 absl::Status CheckId(const std::string& id, const FieldPath& path) {
   const auto alphanumeric = [](char c) {
     return (c >= 'a' && c <= 'z') || (c >= '0' && c <= '9');
@@ -84,22 +135,31 @@ absl::Status CheckUid(const std::string& uid, const FieldPath& path) {
 
 absl::StatusOr<std::string> ParseVehicleName(const std::string& name,
                                              const FieldPath& path) {
-  const std::string collection = kVehicles;
-  if (name.compare(0, collection.size(), collection) != 0) {
-    return InvalidField(
-        kInvalidName, path,
-        absl::StrCat("got ", Quoted(name), "; the form is vehicles/{vehicle}"));
-  }
-  const std::string id = name.substr(collection.size());
-  if (absl::Status status = CheckId(id, path); !status.ok()) return status;
-  return id;
+  return ParseTopName(kVehicles, "vehicles/{vehicle}", name, path);
+}
+
+absl::StatusOr<std::string> ParseGroupName(const std::string& name,
+                                           const FieldPath& path) {
+  return ParseTopName(kGroups, "groups/{group}", name, path);
+}
+
+absl::StatusOr<NameInGroup> ParseMemberName(const std::string& name,
+                                            const FieldPath& path) {
+  return ParseNameInGroup(kMembers, "groups/{group}/members/{vehicle}", name,
+                          path);
+}
+
+absl::StatusOr<NameInGroup> ParseGroupLinkName(const std::string& name,
+                                               const FieldPath& path) {
+  return ParseNameInGroup(
+      kGroupLinks, "groups/{group}/loopClosures/{loop_closure}", name, path);
 }
 
 absl::StatusOr<PosePairName> ParsePosePairName(PairKind kind,
                                                const std::string& name,
                                                const FieldPath& path) {
   const std::string collection = CollectionOf(kind);
-  const std::size_t at = name.find(collection);
+  const std::size_t at = name.rfind(collection);
   if (at == std::string::npos) {
     return InvalidField(
         kInvalidName, path,
@@ -118,7 +178,7 @@ absl::StatusOr<PosePairName> ParsePosePairName(PairKind kind,
 
 absl::StatusOr<ParsedCheckName> ParseCheckName(const std::string& name,
                                                const FieldPath& path) {
-  const std::size_t at = name.find(kChecks);
+  const std::size_t at = name.rfind(kChecks);
   ParsedCheckName parsed;
   if (at == std::string::npos ||
       !ReadNumber(name.substr(at + sizeof(kChecks) - 1), &parsed.sequence)) {
@@ -136,7 +196,7 @@ absl::StatusOr<ParsedCheckName> ParseCheckName(const std::string& name,
 
 absl::StatusOr<ParsedCheckName> ParseCheckCandidateName(const std::string& name,
                                                         const FieldPath& path) {
-  const std::size_t at = name.find(kCandidates);
+  const std::size_t at = name.rfind(kCandidates);
   std::uint64_t number = 0;
   if (at == std::string::npos ||
       !ReadNumber(name.substr(at + sizeof(kCandidates) - 1), &number) ||

@@ -34,6 +34,14 @@ std::string CheckName(const std::string& vehicle_id, std::uint64_t sequence);
 std::string CheckCandidateName(const std::string& vehicle_id,
                                std::uint64_t sequence, std::uint32_t number);
 
+// `groups/{group}`.
+std::string GroupName(const std::string& group_id);
+// `groups/{group}/members/{vehicle}`.
+std::string MemberName(const std::string& group_id,
+                       const std::string& vehicle_id);
+// `groups/{group}/loopClosures/{loop_closure}`.
+std::string GroupLinkName(const std::string& group_id, const std::string& id);
+
 // INVALID_ARGUMENT (INVALID_RESOURCE_NAME) unless the id matches the pattern of
 // ids.
 absl::Status CheckId(const std::string& id, const FieldPath& path);
@@ -41,6 +49,21 @@ absl::Status CheckId(const std::string& id, const FieldPath& path);
 // The id in `vehicles/{vehicle}`.
 absl::StatusOr<std::string> ParseVehicleName(const std::string& name,
                                              const FieldPath& path);
+
+// The id in `groups/{group}`.
+absl::StatusOr<std::string> ParseGroupName(const std::string& name,
+                                           const FieldPath& path);
+
+// The ids in the name of what belongs to a group.
+struct NameInGroup {
+  std::string group_id;
+  // Of the vehicle, or of the loop closure.
+  std::string id;
+};
+absl::StatusOr<NameInGroup> ParseMemberName(const std::string& name,
+                                            const FieldPath& path);
+absl::StatusOr<NameInGroup> ParseGroupLinkName(const std::string& name,
+                                               const FieldPath& path);
 
 // INVALID_ARGUMENT (INVALID_FIELD) unless the uid of a vehicle is empty or has
 // the form of one.

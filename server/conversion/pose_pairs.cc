@@ -1,10 +1,9 @@
 #include "server/conversion/pose_pairs.h"
 
 #include "absl/strings/str_cat.h"
+#include "server/conversion/loop_content.h"
 #include "server/conversion/names.h"
 #include "server/fields/field_violations.h"
-#include "server/fields/loop_measurement.h"
-#include "server/fields/pose_fields.h"
 #include "server/fields/timestamps.h"
 #include "server/records/pair_content.h"
 
@@ -31,30 +30,11 @@ void CheckSequences(const Message& pair, const FieldPath& path,
   }
 }
 
-// LoopClosure and RejectedCandidate have the note in common.
-void CheckNote(const std::string& note, const FieldPath& path,
-               Violations* violations) {
-  CheckText(note, kMaxNoteBytes, TextUse::kNote, path.Field("note"),
-            violations);
-}
-
 // The content of a pair beside its poses. Adds a violation for all that is
 // wrong whatever the vehicle's state space is.
 PairContent ContentOf(const v1::LoopClosure& closure, const FieldPath& path,
                       Violations* violations) {
-  PairContent content;
-  if (closure.has_measurement()) {
-    content.measurement = MeasurementFieldsOf(closure.measurement());
-    CheckMeasurement(*content.measurement, path.Field("measurement"),
-                     violations);
-  }
-  CheckNote(closure.note(), path, violations);
-  content.note = closure.note();
-  if (closure.has_score()) {
-    CheckFinite(closure.score(), path.Field("score"), violations);
-    content.score = closure.score();
-  }
-  return content;
+  return LoopContentOf(closure, path, violations);
 }
 
 PairContent ContentOf(const v1::RejectedCandidate& rejection,
@@ -66,12 +46,7 @@ PairContent ContentOf(const v1::RejectedCandidate& rejection,
 }
 
 void SetContent(const PairContent& content, v1::LoopClosure* closure) {
-  if (content.measurement) {
-    SetMeasurement(*content.measurement, closure->mutable_measurement());
-  }
-  closure->set_note(content.note);
-  if (content.score) closure->set_score(*content.score);
-  closure->set_decided_by(content.decided_by);
+  SetLoopContent(content, closure);
 }
 
 void SetContent(const PairContent& content, v1::RejectedCandidate* rejection) {

@@ -2,7 +2,6 @@
 #ifndef REVISIT_SERVER_CONVERSION_POSE_PAIRS_H_
 #define REVISIT_SERVER_CONVERSION_POSE_PAIRS_H_
 
-#include <cstddef>
 #include <string>
 
 #include "absl/status/statusor.h"
@@ -10,8 +9,6 @@
 #include "server/storage/records.h"
 
 namespace revisit::server {
-
-inline constexpr std::size_t kMaxNoteBytes = 1024;
 
 // The record that a request for a new pair asks for, without creation time;
 // what depends on the vehicle's state space (RecordCodec::DecodeMeasurement())

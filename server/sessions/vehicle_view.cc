@@ -25,18 +25,22 @@ absl::Status PoseNotFound(const std::string& vehicle_id, std::uint64_t sequence,
                 {"durable_sequence", StrCat(durable_sequence)}});
 }
 
+absl::Status PoseDropped(const std::string& vehicle_id, std::uint64_t sequence,
+                         std::uint64_t first_kept, std::uint64_t next_kept) {
+  return Error(
+      StatusCode::kOutOfRange, "POSES_DROPPED",
+      StrCat("vehicle '", vehicle_id, "' keeps the pose of sequence ", sequence,
+             " no longer (settings.retention): its first is ", first_kept,
+             ", and the next after this one ", next_kept),
+      {{"sequence", StrCat(sequence)},
+       {"first_kept_sequence", StrCat(first_kept)},
+       {"next_kept_sequence", StrCat(next_kept)}});
+}
+
 absl::Status CheckKept(const VehicleView& view, std::uint64_t sequence) {
   const std::uint64_t next = view.drive.dropped().KeptFrom(sequence);
   if (next == sequence) return absl::OkStatus();
-  const std::string first = StrCat(view.first_kept_sequence());
-  return Error(
-      StatusCode::kOutOfRange, "POSES_DROPPED",
-      StrCat("vehicle '", view.id, "' keeps the pose of sequence ", sequence,
-             " no longer (settings.retention): its first is ", first,
-             ", and the next after this one ", next),
-      {{"sequence", StrCat(sequence)},
-       {"first_kept_sequence", first},
-       {"next_kept_sequence", StrCat(next)}});
+  return PoseDropped(view.id, sequence, view.first_kept_sequence(), next);
 }
 
 absl::Status CheckMeant(const std::string& vehicle_id,

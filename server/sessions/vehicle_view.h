@@ -59,6 +59,10 @@ using ViewCallback = std::function<void(absl::StatusOr<VehicleView>)>;
 absl::Status PoseNotFound(const std::string& vehicle_id, std::uint64_t sequence,
                           std::uint64_t durable_sequence);
 
+// OUT_OF_RANGE (POSES_DROPPED).
+absl::Status PoseDropped(const std::string& vehicle_id, std::uint64_t sequence,
+                         std::uint64_t first_kept, std::uint64_t next_kept);
+
 // OK if the pose of this sequence was not dropped; OUT_OF_RANGE (POSES_DROPPED)
 // with the first sequence that the vehicle keeps, and the next one.
 absl::Status CheckKept(const VehicleView& view, std::uint64_t sequence);

@@ -97,8 +97,8 @@ def test_server_includes_nothing_of_the_client():
     assert lines_with(r'#include "(client|tests)/', sources("server")) == []
 
 
-@pytest.mark.parametrize("folder", ["fields", "records", "sessions",
-                                    "storage"])
+@pytest.mark.parametrize("folder", ["fields", "groups", "records",
+                                    "sessions", "storage"])
 def test_what_is_stored_names_no_message_of_the_api(folder):
     assert lines_with(r"revisit/v1/|\bv1::",
                       sources(f"server/{folder}")) == []

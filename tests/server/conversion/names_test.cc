@@ -28,6 +28,49 @@ TEST(NamesTest, RecordingsAreNamedByTheirFirstPose) {
   EXPECT_EQ(RecordingName("truck", 401), "vehicles/truck/recordings/401");
 }
 
+TEST(NamesTest, NamesInGroupsAreReadAsTheyAreWritten) {
+  EXPECT_EQ(ParseGroupName(GroupName("g"), FieldPath()).value(), "g");
+  const auto member = ParseMemberName(MemberName("g", "truck"), FieldPath());
+  ASSERT_THAT(member, IsOk());
+  EXPECT_EQ(member->group_id, "g");
+  EXPECT_EQ(member->id, "truck");
+  const auto link = ParseGroupLinkName(GroupLinkName("g", "gate"), FieldPath());
+  ASSERT_THAT(link, IsOk());
+  EXPECT_EQ(link->group_id, "g");
+  EXPECT_EQ(link->id, "gate");
+}
+
+// Their names were taken for those of nothing.
+TEST(NamesTest, IdsMayBeTheWordsThatNamesAreMadeOf) {
+  const auto member =
+      ParseMemberName(MemberName("members", "members"), FieldPath());
+  ASSERT_THAT(member, IsOk());
+  EXPECT_EQ(member->group_id, "members");
+  EXPECT_EQ(member->id, "members");
+  const auto check = ParseCheckName(CheckName("checks", 5), FieldPath());
+  ASSERT_THAT(check, IsOk());
+  EXPECT_EQ(check->vehicle_id, "checks");
+  const auto candidate = ParseCheckCandidateName(
+      CheckCandidateName("candidates", 5, 1), FieldPath());
+  ASSERT_THAT(candidate, IsOk());
+  EXPECT_EQ(candidate->vehicle_id, "candidates");
+}
+
+TEST(NamesTest, RefusesNamesThatAreNoneInGroups) {
+  for (const char* name :
+       {"", "g", "groups/", "vehicles/g", "groups/g/", "groups/G",
+        "groups/g/members/", "groups/g/members/a/b", "groups/g/loopClosures/A",
+        "groups//members/a", "members/a", "vehicles/g/members/a"}) {
+    const auto refused = [](const auto& parsed) {
+      EXPECT_THAT(parsed, IsError(StatusCode::kInvalidArgument,
+                                  "INVALID_RESOURCE_NAME", ::testing::_));
+    };
+    refused(ParseGroupName(name, FieldPath().Field("name")));
+    refused(ParseMemberName(name, FieldPath().Field("name")));
+    refused(ParseGroupLinkName(name, FieldPath().Field("name")));
+  }
+}
+
 TEST(NamesTest, RefusesIdsOutsideThePattern) {
   for (const std::string& id :
        {std::string(""), std::string("-a"), std::string("a-"), std::string("-"),

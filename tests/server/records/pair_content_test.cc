@@ -8,6 +8,7 @@
 #include "gmock/gmock.h"
 #include "google/protobuf/util/message_differencer.h"
 #include "gtest/gtest.h"
+#include "server/conversion/loop_content.h"
 #include "server/conversion/pose_pairs.h"
 #include "server/fields/loop_measurement.h"
 #include "tests/server/conversion/conversion_testing.h"

@@ -1,0 +1,183 @@
+#include "server/groups/group_edits.h"
+
+#include <algorithm>
+#include <optional>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "core/geometry/state_space.h"
+#include "server/base/status.h"
+#include "server/fields/field_violations.h"
+#include "server/groups/group_reads.h"
+#include "server/groups/stored_vehicle.h"
+#include "server/records/group_content.h"
+
+namespace revisit::server {
+namespace {
+
+absl::Status LimitReached(const std::string& group_id, std::size_t limit,
+                          const char* what) {
+  return Error(
+      absl::StatusCode::kFailedPrecondition, "GROUP_LIMIT",
+      absl::StrCat("group '", group_id, "' has ", limit, " ", what,
+                   ", which are as many as are allowed: remove some first"),
+      {{"limit", absl::StrCat(limit)}});
+}
+
+// What there is of a group's links, beside one that is looked for.
+struct LinksSeen {
+  std::optional<GroupLinkRecord> same_id;
+  std::size_t count = 0;
+  // The last time of creation; damaged links have none.
+  std::int64_t last_time_ns = 0;
+};
+
+absl::StatusOr<LinksSeen> LookAtLinks(GroupStorage* groups,
+                                      const std::string& group_id,
+                                      const std::string& id) {
+  LinksSeen seen;
+  const absl::Status status =
+      VisitLinks(groups, group_id, [&](GroupLinkRecord& link) {
+        ++seen.count;
+        if (link.damage.ok()) {
+          static_cast<void>(
+              ReadLinkContent(link.payload, [&](const LinkContent& content) {
+                seen.last_time_ns =
+                    std::max(seen.last_time_ns, content.create_time_ns);
+              }));
+        }
+        if (link.id == id) seen.same_id = std::move(link);
+        return true;
+      });
+  if (!status.ok()) return status;
+  return seen;
+}
+
+absl::Status CheckMembers(GroupStorage* groups, const std::string& group_id,
+                          const NewLink& link) {
+  for (const std::string& vehicle :
+       {link.query.vehicle_id, link.matched.vehicle_id}) {
+    const absl::Status member = FindMember(groups, group_id, vehicle).status();
+    if (!member.ok()) return member;
+  }
+  return absl::OkStatus();
+}
+
+// The two ends of a link.
+struct LinkedVehicles {
+  StoredVehicle query;
+  StoredVehicle matched;
+};
+
+absl::StatusOr<LinkedVehicles> FindEnds(Storage* storage,
+                                        const RecordCodec& codec,
+                                        const NewLink& link) {
+  absl::StatusOr<StoredVehicle> query =
+      FindStoredVehicle(storage, codec, link.query.vehicle_id);
+  if (!query.ok()) return query.status();
+  absl::StatusOr<StoredVehicle> matched =
+      FindStoredVehicle(storage, codec, link.matched.vehicle_id);
+  if (!matched.ok()) return matched.status();
+  return LinkedVehicles{*std::move(query), *std::move(matched)};
+}
+
+absl::Status CheckStateSpaces(const LinkedVehicles& ends, const NewLink& link) {
+  const core::StateSpace space = ends.query.config.drive.state_space;
+  if (space == ends.matched.config.drive.state_space) {
+    return DecodeLinkMeasurement(link.payload, space).status();
+  }
+  const FieldPath request;
+  const FieldPath closure = request.Field("loop_closure");
+  const FieldPath matched = closure.Field("matched");
+  return InvalidField(kInvalidField, matched.Field("vehicle"),
+                      "its state space is another one than that of the query's "
+                      "vehicle; a link is between vehicles of one");
+}
+
+bool SayTheSame(const GroupLinkRecord& link, const GroupLinkRecord& other) {
+  return link.query == other.query && link.matched == other.matched &&
+         LinkContentsSayTheSame(link.payload, other.payload);
+}
+
+// No changes, where the link that is there says what was asked for.
+absl::StatusOr<GroupEdit> EditToKeep(const GroupRecord& group,
+                                     GroupLinkRecord there,
+                                     GroupLinkRecord* link) {
+  if (!there.damage.ok()) return there.damage;
+  if (!SayTheSame(there, *link)) {
+    return Error(
+        absl::StatusCode::kAlreadyExists, "LOOP_CLOSURE_EXISTS",
+        absl::StrCat("loop closure '", link->id, "' of group '", group.id,
+                     "' exists with other poses, or another "
+                     "measurement, note or score"));
+  }
+  *link = std::move(there);
+  return GroupEdit();
+}
+
+}  // namespace
+
+absl::StatusOr<GroupEdit> EditToAddMember(GroupStorage* groups,
+                                          const GroupRecord& group,
+                                          const GroupMemberRecord& member,
+                                          const GroupLimits& limits) {
+  if (!group.damage.ok()) return group.damage;
+  std::size_t count = 0;
+  std::optional<GroupMemberRecord> there;
+  const absl::Status status =
+      VisitMembers(groups, group.id, [&](GroupMemberRecord& other) {
+        ++count;
+        if (other.vehicle == member.vehicle) there = std::move(other);
+        return true;
+      });
+  if (!status.ok()) return status;
+  if (there) {
+    if (!there->damage.ok()) return there->damage;
+    if (there->payload == member.payload) return GroupEdit();
+    return Error(absl::StatusCode::kAlreadyExists, "MEMBER_EXISTS",
+                 absl::StrCat("vehicle '", member.vehicle_id,
+                              "' is a member of group '", group.id,
+                              "' with another datum; change it with "
+                              "UpdateGroupMember"));
+  }
+  if (count >= limits.members) {
+    return LimitReached(group.id, limits.members, "members");
+  }
+  return GroupEdit{{AddGroupMember{member}}};
+}
+
+absl::StatusOr<GroupEdit> EditToAddLink(
+    Storage* storage, const RecordCodec& codec, const GroupRecord& group,
+    const NewLink& wanted, std::int64_t now_ns, const GroupLimits& limits,
+    GroupLinkRecord* link) {
+  if (!group.damage.ok()) return group.damage;
+  const absl::StatusOr<LinkedVehicles> ends = FindEnds(storage, codec, wanted);
+  if (!ends.ok()) return ends.status();
+  absl::Status status = CheckStateSpaces(*ends, wanted);
+  if (!status.ok()) return status;
+  status = CheckMembers(&storage->Groups(), group.id, wanted);
+  if (!status.ok()) return status;
+  *link = {wanted.id,
+           LinkState::kConfirmed,
+           {ends->query.key, wanted.query.sequence},
+           {ends->matched.key, wanted.matched.sequence},
+           wanted.payload};
+  absl::StatusOr<LinksSeen> seen =
+      LookAtLinks(&storage->Groups(), group.id, wanted.id);
+  if (!seen.ok()) return seen.status();
+  if (seen->same_id) return EditToKeep(group, *std::move(seen->same_id), link);
+  if (seen->count >= limits.links) {
+    return LimitReached(group.id, limits.links, "loop closures");
+  }
+  status =
+      CheckPoseIsStored(storage, codec, ends->query, wanted.query.sequence);
+  if (!status.ok()) return status;
+  status =
+      CheckPoseIsStored(storage, codec, ends->matched, wanted.matched.sequence);
+  if (!status.ok()) return status;
+  link->payload = LinkContentCreatedAt(
+      wanted.payload, std::max(now_ns, seen->last_time_ns + 1));
+  return GroupEdit{{AddGroupLink{*link}}};
+}
+
+}  // namespace revisit::server

@@ -1,0 +1,26 @@
+// A loop closure between two vehicles as a caller asks for it.
+#ifndef REVISIT_SERVER_GROUPS_NEW_LINK_H_
+#define REVISIT_SERVER_GROUPS_NEW_LINK_H_
+
+#include <cstdint>
+#include <string>
+
+namespace revisit::server {
+
+struct NewLink {
+  struct Pose {
+    std::string vehicle_id;
+    std::uint64_t sequence = 0;
+  };
+
+  std::string id;
+  Pose query;
+  Pose matched;
+  // As EncodeLinkContent() makes it; its time of creation means nothing, and
+  // its measurement was not compared with a state space.
+  std::string payload;
+};
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_GROUPS_NEW_LINK_H_
