@@ -204,6 +204,7 @@ void RevisitServer::State::MakeService() {
   context.storage = store.storage.get();
   context.executor = parts->vehicles->read_executor();
   context.fleet = parts->vehicles->fleet();
+  context.groups = parts->vehicles->groups();
   context.feed = parts->vehicles->feed();
   context.drain = &parts->drain;
   context.gatekeeper = parts->identities->gatekeeper();

@@ -85,6 +85,7 @@ Vehicles::Vehicles(const ServerSettings& settings, Storage* storage,
       // long read.
       read_executor_("reads", std::max(2, Processors())),
       search_executor_("searches", SearchThreads(settings)),
+      groups_(storage, &read_executor_),
       census_(std::make_shared<VehicleCensus>(
           storage, &codec_,
           is_shared ? std::optional<std::chrono::milliseconds>(kCensusAgain)

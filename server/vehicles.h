@@ -10,6 +10,7 @@
 #include "server/connections/admission.h"
 #include "server/conversion/stored_checks_codec.h"
 #include "server/feed/event_feed.h"
+#include "server/groups/group_editor.h"
 #include "server/records/proto_record_codec.h"
 #include "server/sessions/executor.h"
 #include "server/sessions/fair_executor.h"
@@ -40,6 +41,7 @@ class Vehicles {
   const EventFeed* feed() const { return &feed_; }
   // For long reads of the store.
   Executor* read_executor() { return &read_executor_; }
+  GroupEditor* groups() { return &groups_; }
 
  private:
   // The fleet needs those above it until its work is done.
@@ -50,6 +52,7 @@ class Vehicles {
   Executor executor_;
   Executor read_executor_;
   FairExecutor search_executor_;
+  GroupEditor groups_;
   std::shared_ptr<VehicleCensus> census_;
   std::unique_ptr<Fleet> fleet_;
   std::unique_ptr<Upkeep> upkeep_;

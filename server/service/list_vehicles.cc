@@ -1,13 +1,12 @@
 #include "server/service/list_vehicles.h"
 
-#include <algorithm>
-#include <cstddef>
 #include <memory>
 #include <string>
 
 #include "server/conversion/answers.h"
 #include "server/conversion/names.h"
 #include "server/conversion/page_token.h"
+#include "server/service/readable_page.h"
 #include "server/sessions/executor.h"
 #include "server/sessions/fleet.h"
 #include "server/sessions/vehicle_session.h"
@@ -16,40 +15,23 @@
 namespace revisit::server {
 namespace {
 
-// A page ends where it is longer than this, so that clients with the usual
-// limit of 4 MiB can read it.
-constexpr std::size_t kMostPageBytes = std::size_t{1} << 20;
-
 // Fills a page with the vehicles that the caller may read, as they are stored.
-// The others leave no trace, neither in the page's length nor in its token.
 absl::Status ListStored(Storage* storage, const Caller& caller,
                         const std::string& list, const std::string& after,
                         int page_size, v1::ListVehiclesResponse* response) {
-  std::string last;
-  std::size_t bytes = 0;
-  for (const std::string& prefix : caller.PrefixesOf(Verb::kRead)) {
-    std::string place = after;
-    for (bool past = false; !past;) {
-      // One more shows whether there is another page. Reading few at a time
-      // would be slow where the caller may read few of many.
-      const int wanted =
-          std::max(page_size - response->vehicles_size() + 1, 100);
-      const auto records = storage->ListVehicles(place, prefix, wanted);
-      if (!records.ok()) return records.status();
-      past = static_cast<int>(records->size()) < wanted;
-      for (const VehicleRecord& record : *records) {
-        if (!caller.May(Verb::kRead, record.id)) continue;
-        if (response->vehicles_size() == page_size || bytes > kMostPageBytes) {
-          response->set_next_page_token(MakePageToken(list, last));
-          return absl::OkStatus();
-        }
+  const absl::StatusOr<std::string> last = FillReadablePage(
+      caller, Resource::kVehicle, after, page_size,
+      [&](const std::string& place, const std::string& prefix, int limit) {
+        return storage->ListVehicles(place, prefix, limit);
+      },
+      [&](const VehicleRecord& record) {
         v1::Vehicle* const vehicle = response->add_vehicles();
         EncodeVehicle(record, vehicle);
-        bytes += vehicle->ByteSizeLong();
-        last = record.id;
-      }
-      if (!past) place = records->back().id;
-    }
+        return vehicle->ByteSizeLong();
+      });
+  if (!last.ok()) return last.status();
+  if (!last->empty()) {
+    response->set_next_page_token(MakePageToken(list, *last));
   }
   return absl::OkStatus();
 }

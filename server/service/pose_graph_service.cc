@@ -7,6 +7,8 @@
 #include "server/service/export_pose_graph.h"
 #include "server/service/find_candidates.h"
 #include "server/service/find_contradictions.h"
+#include "server/service/group_calls.h"
+#include "server/service/group_member_calls.h"
 #include "server/service/list_poses.h"
 #include "server/service/list_recordings.h"
 #include "server/service/list_vehicles.h"
@@ -187,6 +189,89 @@ grpc::ServerUnaryReactor* PoseGraphService::ListRecordings(
 grpc::ServerWriteReactor<grpc::ByteBuffer>* PoseGraphService::ExportPoseGraph(
     grpc::CallbackServerContext* call, const grpc::ByteBuffer* request) {
   return StartExport(call, service_, request);
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::CreateGroup(
+    grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+    grpc::ByteBuffer* response) {
+  return Begin(service_, "CreateGroup", server::CreateGroup, call, request,
+               response);
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::GetGroup(
+    grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+    grpc::ByteBuffer* response) {
+  return Begin(service_, "GetGroup", server::GetGroup, call, request, response);
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::ListGroups(
+    grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+    grpc::ByteBuffer* response) {
+  return Begin(service_, "ListGroups", server::ListGroups, call, request,
+               response);
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::UpdateGroup(
+    grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+    grpc::ByteBuffer* response) {
+  return Begin(service_, "UpdateGroup", server::UpdateGroup, call, request,
+               response);
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::DeleteGroup(
+    grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+    grpc::ByteBuffer* response) {
+  return Begin(service_, "DeleteGroup", server::DeleteGroup, call, request,
+               response);
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::AddGroupMember(
+    grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+    grpc::ByteBuffer* response) {
+  return Begin(service_, "AddGroupMember", server::AddMemberToGroup, call,
+               request, response);
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::UpdateGroupMember(
+    grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+    grpc::ByteBuffer* response) {
+  return Begin(service_, "UpdateGroupMember", server::UpdateGroupMember, call,
+               request, response);
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::RemoveGroupMember(
+    grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+    grpc::ByteBuffer* response) {
+  return Begin(service_, "RemoveGroupMember", server::RemoveMemberFromGroup,
+               call, request, response);
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::ListGroupMembers(
+    grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+    grpc::ByteBuffer* response) {
+  return Begin(service_, "ListGroupMembers", server::ListGroupMembers, call,
+               request, response);
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::AddInterVehicleLoopClosure(
+    grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+    grpc::ByteBuffer* response) {
+  return Begin(service_, "AddInterVehicleLoopClosure",
+               server::AddInterVehicleLoopClosure, call, request, response);
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::ListInterVehicleLoopClosures(
+    grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+    grpc::ByteBuffer* response) {
+  return Begin(service_, "ListInterVehicleLoopClosures",
+               server::ListInterVehicleLoopClosures, call, request, response);
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::DeleteInterVehicleLoopClosure(
+    grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+    grpc::ByteBuffer* response) {
+  return Begin(service_, "DeleteInterVehicleLoopClosure",
+               server::DeleteInterVehicleLoopClosure, call, request, response);
 }
 
 grpc::ServerUnaryReactor* PoseGraphService::AcceptDataLoss(

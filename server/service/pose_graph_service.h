@@ -51,10 +51,28 @@ using WithChecks = Service::WithRawCallbackMethod_GetCheck<
     Service::WithRawCallbackMethod_ListChecks<
         Service::WithRawCallbackMethod_WatchCandidates<Base>>>;
 template <typename Base>
+using WithGroups = Service::WithRawCallbackMethod_CreateGroup<
+    Service::WithRawCallbackMethod_GetGroup<
+        Service::WithRawCallbackMethod_ListGroups<
+            Service::WithRawCallbackMethod_UpdateGroup<
+                Service::WithRawCallbackMethod_DeleteGroup<Base>>>>>;
+template <typename Base>
+using WithMembers = Service::WithRawCallbackMethod_AddGroupMember<
+    Service::WithRawCallbackMethod_UpdateGroupMember<
+        Service::WithRawCallbackMethod_RemoveGroupMember<
+            Service::WithRawCallbackMethod_ListGroupMembers<Base>>>>;
+template <typename Base>
+using WithGroupLinks =
+    Service::WithRawCallbackMethod_AddInterVehicleLoopClosure<
+        Service::WithRawCallbackMethod_ListInterVehicleLoopClosures<
+            Service::WithRawCallbackMethod_DeleteInterVehicleLoopClosure<
+                Base>>>;
+template <typename Base>
 using WithOperations = Service::WithRawCallbackMethod_AcceptDataLoss<
     Service::WithRawCallbackMethod_GetServerInfo<Base>>;
-using AllMethods = WithVehicles<WithPoses<WithLoopClosures<
-    WithCandidates<WithChecks<WithOperations<Service::Service>>>>>>;
+using AllMethods = WithVehicles<
+    WithPoses<WithLoopClosures<WithCandidates<WithChecks<WithGroups<
+        WithMembers<WithGroupLinks<WithOperations<Service::Service>>>>>>>>>;
 
 }  // namespace service_internal
 
@@ -130,6 +148,42 @@ class PoseGraphService final : public service_internal::AllMethods {
   grpc::ServerWriteReactor<grpc::ByteBuffer>* ExportPoseGraph(
       grpc::CallbackServerContext* call,
       const grpc::ByteBuffer* request) override;
+  grpc::ServerUnaryReactor* CreateGroup(grpc::CallbackServerContext* call,
+                                        const grpc::ByteBuffer* request,
+                                        grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* GetGroup(grpc::CallbackServerContext* call,
+                                     const grpc::ByteBuffer* request,
+                                     grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* ListGroups(grpc::CallbackServerContext* call,
+                                       const grpc::ByteBuffer* request,
+                                       grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* UpdateGroup(grpc::CallbackServerContext* call,
+                                        const grpc::ByteBuffer* request,
+                                        grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* DeleteGroup(grpc::CallbackServerContext* call,
+                                        const grpc::ByteBuffer* request,
+                                        grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* AddGroupMember(grpc::CallbackServerContext* call,
+                                           const grpc::ByteBuffer* request,
+                                           grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* UpdateGroupMember(
+      grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+      grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* RemoveGroupMember(
+      grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+      grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* ListGroupMembers(
+      grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+      grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* AddInterVehicleLoopClosure(
+      grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+      grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* ListInterVehicleLoopClosures(
+      grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+      grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* DeleteInterVehicleLoopClosure(
+      grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+      grpc::ByteBuffer* response) override;
   grpc::ServerUnaryReactor* AcceptDataLoss(grpc::CallbackServerContext* call,
                                            const grpc::ByteBuffer* request,
                                            grpc::ByteBuffer* response) override;

@@ -21,6 +21,7 @@ class Executor;
 class ExportedGraphs;
 class Fleet;
 class Gatekeeper;
+class GroupEditor;
 class Log;
 class Storage;
 
@@ -30,6 +31,7 @@ struct ServiceContext {
   // Runs the work that reads the store.
   Executor* executor = nullptr;
   Fleet* fleet = nullptr;
+  GroupEditor* groups = nullptr;
   EventFeed* feed = nullptr;
   Drain* drain = nullptr;
   Gatekeeper* gatekeeper = nullptr;

@@ -102,16 +102,25 @@ class TypedCall final : public UnaryCall {
   Response response_;
 };
 
+// Whether the caller may read this vehicle or group.
+inline bool MayRead(const UnaryCall& call, const std::string& id,
+                    Resource resource = Resource::kVehicle) {
+  return call.rights().caller().May(Verb::kRead, id, resource);
+}
+
+// CANCELLED or DEADLINE_EXCEEDED once nobody waits for the call's answer.
+inline absl::Status CheckAwaited(const UnaryCall& call) {
+  return call.given_up() ? call.GivenUpStatus() : absl::OkStatus();
+}
+
 // A callback that finishes the call with what `encode` makes of the value.
 template <typename Value, typename Encode>
 std::function<void(absl::StatusOr<Value>)> FinishWith(UnaryCallPtr call,
                                                       Encode encode) {
   return [call = std::move(call), encode](absl::StatusOr<Value> value) {
-    // Nobody waits for the answer that would be made of it.
-    const absl::Status given_up =
-        call->given_up() ? call->GivenUpStatus() : absl::OkStatus();
-    if (!value.ok() || !given_up.ok()) {
-      call->End(value.ok() ? given_up : value.status());
+    const absl::Status awaited = CheckAwaited(*call);
+    if (!value.ok() || !awaited.ok()) {
+      call->End(value.ok() ? awaited : value.status());
       return;
     }
     const absl::Status status = encode(*value);
@@ -129,6 +138,18 @@ inline absl::StatusOr<std::shared_ptr<VehicleSession>> SessionOf(
     return status;
   }
   return service.fleet->Session(*id);
+}
+
+// Names the group that a field names as the one that the call is about.
+inline absl::StatusOr<std::string> ChooseGroup(const std::string& name,
+                                               const FieldPath& path,
+                                               UnaryCall* call) {
+  absl::StatusOr<std::string> id = ParseGroupName(name, path);
+  if (!id.ok()) return id.status();
+  if (absl::Status status = call->ChooseGroup(*id); !status.ok()) {
+    return status;
+  }
+  return *id;
 }
 
 }  // namespace revisit::server

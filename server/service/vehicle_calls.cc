@@ -30,10 +30,6 @@ v1::Vehicle IdentityOf(const v1::Vehicle& vehicle) {
   return identity;
 }
 
-bool MayRead(const UnaryCall& call, const std::string& vehicle_id) {
-  return call.rights().caller().May(Verb::kRead, vehicle_id);
-}
-
 // The config of the vehicle that the request describes.
 absl::StatusOr<VehicleConfig> NewConfig(
     const v1::CreateVehicleRequest& request) {

@@ -43,7 +43,7 @@ class Messages:
 
 
 api = Messages("geometry", "vehicle", "recording", "candidate", "check",
-               "loop_closure",
+               "loop_closure", "group",
                "error_reason", "pose_graph_service")
 PoseGraphServiceStub = importlib.import_module(
     "revisit.v1.pose_graph_service_pb2_grpc").PoseGraphServiceStub

@@ -5,6 +5,7 @@ import re
 import pytest
 
 from caller_identities import METHODS, SERVICE, As, Code, ask, create, list_vehicles
+from grouping import group_requests
 from revisit_server import Server, wait_until
 from stubs import api
 from watching import list_checks
@@ -65,6 +66,9 @@ def request_about(method, vehicle):
         # Begun behind the last event: the cursor of none is refused.
         "WatchCandidates": lambda: api.WatchCandidatesRequest(
             filter=api.CandidateFilter(vehicles=[vehicle])),
+        **{name: lambda request=request: request
+           for name, request in group_requests(
+               f"groups/{vehicle_id}", vehicle, vehicle + "0").items()},
     }[method]()
 
 
@@ -87,8 +91,10 @@ def test_every_method_needs_credentials(token_server, method):
 
 # --- Tenants.
 
-# Methods that are not about one vehicle.
-ABOUT_NONE = {"GetServerInfo", "ListVehicles", "WatchCandidates"}
+# Methods that are not about one vehicle; those of groups are tested in
+# test_group_rights.py.
+ABOUT_NONE = {"GetServerInfo", "ListVehicles", "WatchCandidates",
+              *group_requests("groups/g", "vehicles/a", "vehicles/b")}
 
 
 @pytest.mark.parametrize("method", sorted(set(METHODS) - ABOUT_NONE))

@@ -8,6 +8,9 @@ import signal
 import grpc
 import pytest
 
+from grouping import (add_link, add_member, add_vehicle, create_group, delete_group,
+                      delete_link, get_group, remove_member, update_group,
+                      update_member)
 from identities import AUDIENCE, ISSUER, TokenKey, bearer, key_set
 from revisit_server import Server, run, wait_until
 from stubs import api
@@ -73,6 +76,40 @@ def test_audit_log_says_who_made_changed_and_removed_what(tmp_path):
             found[0]["parent_id"]) == ("the-first", TRACE, PARENT)
     # They are in no other log.
     assert server.log() == ""
+
+
+def test_audit_log_says_who_changed_groups(tmp_path):
+    audit = tmp_path / "audit"
+    with Server(tmp_path / "store", "--audit-log", audit, "--log-format",
+                "json") as server:
+        stub = server.stub()
+        car, truck = (add_vehicle(stub, name) for name in ("car", "truck"))
+        group = create_group(stub, "g").name
+        update_group(stub, group, "display_name")
+        for vehicle in (car, truck):
+            add_member(stub, group, vehicle)
+        update_member(stub, f"{group}/members/car")
+        add_link(stub, group, (car, 1), (truck, 1), "gate")
+        delete_link(stub, f"{group}/loopClosures/gate")
+        remove_member(stub, f"{group}/members/car")
+        get_group(stub, group)
+        delete_group(stub, group)
+        failure_of(lambda: delete_group(stub, group))
+        found = wait_for_lines(audit, 12)[2:]
+        called = server.logged('"GetGroup"')
+    assert [(line["method"], line["group"], line.get("vehicle"), line.get("id"),
+             line["code"]) for line in found] == [
+        ("CreateGroup", "g", None, None, "OK"),
+        ("UpdateGroup", "g", None, None, "OK"),
+        ("AddGroupMember", "g", "car", None, "OK"),
+        ("AddGroupMember", "g", "truck", None, "OK"),
+        ("UpdateGroupMember", "g", "car", None, "OK"),
+        ("AddInterVehicleLoopClosure", "g", None, "gate", "OK"),
+        ("DeleteInterVehicleLoopClosure", "g", None, "gate", "OK"),
+        ("RemoveGroupMember", "g", "car", None, "OK"),
+        ("DeleteGroup", "g", None, None, "OK"),
+        ("DeleteGroup", "g", None, None, "NOT_FOUND")]
+    assert json.loads(called[0])["group"] == "g"
 
 
 def test_audit_log_names_callers_and_what_they_were_refused(tmp_path):
