@@ -1,11 +1,12 @@
 // The methods of revisit.v1.PoseGraphService. Their handlers are in files of
-// their own, by what they are about. Each decodes, calls a session, and
-// encodes; none blocks a thread of gRPC.
+// their own, by what they are about. Each decodes, calls a session or the
+// editor of groups, and encodes; none blocks a thread of gRPC.
 //
 // A new method has, besides its message types, a handler and its lines here: a
 // row in security/method_rules.cc, which says who may call it; one in
 // telemetry/audit_log.cc, if it changes something; a route of
-// deploy/cluster/envoy.yaml (made by update_routing.py beside it); and its call
+// deploy/cluster/envoy.yaml (made by update_routing.py beside it, which has a
+// list of those that are about no vehicle); and its call
 // in client/revisit/client.h and client/python/revisit/_calls.py.
 #ifndef REVISIT_SERVER_SERVICE_POSE_GRAPH_SERVICE_H_
 #define REVISIT_SERVER_SERVICE_POSE_GRAPH_SERVICE_H_

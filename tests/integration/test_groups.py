@@ -536,7 +536,13 @@ def test_members_that_two_servers_add_at_once_are_all_there_and_not_too_many(
     assert (failure.code, failure.reason) == (
         Code.FAILED_PRECONDITION, "GROUP_LIMIT")
     assert failure.metadata["limit"] == str(MOST_MEMBERS)
-    # There is room again once one has left.
-    remove_member(two_servers[1], f"{group}/members/{added[0].split('/')[1]}")
-    add_member(two_servers[0], group, left)
-    assert len(members_of(two_servers[1], group)) == MOST_MEMBERS
+    # There is room again once one has left, for one.
+    others = [vehicle for vehicle in vehicles if vehicle not in added]
+    for _ in range(20):
+        remove_member(two_servers[1], f"{group}/members/{added[0].split('/')[1]}")
+        with concurrent.futures.ThreadPoolExecutor(4) as pool:
+            answers = list(pool.map(add, map(vehicles.index, others)))
+        joined, = [answer for answer in answers if isinstance(answer, str)]
+        others = [*(set(others) - {joined}), added.pop(0)]
+        added.append(joined)
+    assert members_of(two_servers[1], group) == sorted(added)

@@ -58,9 +58,10 @@ TEST(NamesTest, IdsMayBeTheWordsThatNamesAreMadeOf) {
 
 TEST(NamesTest, RefusesNamesThatAreNoneInGroups) {
   for (const char* name :
-       {"", "g", "groups/", "vehicles/g", "groups/g/", "groups/G",
+       {"", "g", "groups/", "vehicles/g", "Groups/g", "groups/g/", "groups/G",
         "groups/g/members/", "groups/g/members/a/b", "groups/g/loopClosures/A",
-        "groups//members/a", "members/a", "vehicles/g/members/a"}) {
+        "groups//members/a", "members/a", "vehicles/g/members/a",
+        "Groups/g/members/a", "Groups/g/loopClosures/a"}) {
     const auto refused = [](const auto& parsed) {
       EXPECT_THAT(parsed, IsError(StatusCode::kInvalidArgument,
                                   "INVALID_RESOURCE_NAME", ::testing::_));

@@ -1,10 +1,10 @@
 #include "server/groups/group_editor.h"
 
+#include <chrono>
 #include <future>
 #include <memory>
 #include <optional>
 #include <string>
-#include <thread>
 #include <utility>
 #include <vector>
 
@@ -219,22 +219,24 @@ TEST(GroupEditorEndTest, WaitsForAllOrders) {
   MemoryStorage storage;
   Executor executor("groups", 2);
   std::promise<void> begun;
-  std::promise<void> go_on;
+  std::promise<void> ended;
+  std::future<void> end = ended.get_future();
   bool is_done = false;
   auto editor = std::make_unique<GroupEditor>(&storage, &executor);
   editor->Create(
       Group("g", "one", "a"),
       [&] {
         begun.set_value();
-        go_on.get_future().wait();
+        // Long enough for an end that does not wait.
+        EXPECT_EQ(end.wait_for(std::chrono::milliseconds(50)),
+                  std::future_status::timeout);
         return absl::OkStatus();
       },
       [&](const absl::StatusOr<GroupRecord>&) { is_done = true; });
   begun.get_future().wait();
-  std::thread ending([&] { editor.reset(); });
-  go_on.set_value();
-  ending.join();
+  editor.reset();
   EXPECT_TRUE(is_done);
+  ended.set_value();
 }
 
 }  // namespace
