@@ -123,7 +123,8 @@ absl::Status FillPage(
   });
   if (!status.ok()) return status;
   if (is_last && damage.ok()) return absl::OkStatus();
-  if (last.empty()) return is_last ? damage : absl::OkStatus();
+  // A page that is full has a last one.
+  if (last.empty()) return damage;
   response->set_next_page_token(MakePageToken(list, last));
   return absl::OkStatus();
 }

@@ -37,8 +37,9 @@ struct PageFill {
 template <typename List, typename Add>
 absl::StatusOr<std::string> FillReadablePage(const Caller& caller,
                                              Resource resource,
-                                             std::string after, int page_size,
-                                             const List& list, const Add& add) {
+                                             const std::string& after,
+                                             int page_size, const List& list,
+                                             const Add& add) {
   PageFill page{page_size};
   std::string last;
   for (const std::string& prefix : caller.PrefixesOf(Verb::kRead, resource)) {

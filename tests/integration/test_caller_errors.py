@@ -342,6 +342,8 @@ def test_create_refuses_a_name_that_is_taken_with_other_settings(
 
 
 PAGED = {
+    "ListGroups": lambda stub, vehicle, **fields: stub.ListGroups(
+        api.ListGroupsRequest(**fields)),
     "ListVehicles": lambda stub, vehicle, **fields: stub.ListVehicles(
         api.ListVehiclesRequest(**fields)),
     "ListPoses": lambda stub, vehicle, **fields: stub.ListPoses(
