@@ -6,6 +6,7 @@
 #include "core/drive/measured_loop.h"
 #include "core/drive/pose_graph.h"
 #include "core/settings.h"
+#include "server/sessions/drive_replay.h"
 #include "server/storage/storage.h"
 
 namespace revisit::server {
@@ -355,9 +356,9 @@ void Changes::AddPosePair(PairKind kind, PosePairRecord pair,
     absl::Status read;
     if (!measured->empty()) {
       read = measured
-                 ->ReadPoses(*vehicle_, vehicle_->head.config(),
-                             vehicle_->head.durable_sequence(),
-                             [] { return true; })
+                 ->ReadPoses(
+                     *vehicle_, vehicle_->head.key(), vehicle_->head.config(),
+                     vehicle_->head.durable_sequence(), [] { return true; })
                  .status();
     }
     // Its time goes with what it decides.

@@ -3,11 +3,10 @@
 #include <optional>
 
 #include "absl/status/statusor.h"
-#include "server/storage/storage.h"
 
 namespace revisit::server {
 
-absl::Status MeasuredLoops::Add(const VehicleState& vehicle,
+absl::Status MeasuredLoops::Add(const VehicleReader& vehicle,
                                 core::StateSpace space,
                                 const PosePairRecord& pair) {
   if (pair.payload.empty()) return absl::OkStatus();
@@ -34,24 +33,16 @@ void MeasuredLoops::Take(const std::vector<core::PoseSample>& samples) {
 }
 
 absl::StatusOr<bool> MeasuredLoops::ReadPoses(
-    const VehicleState& vehicle, const VehicleConfig& config,
+    const VehicleReader& vehicle, VehicleKey key, const VehicleConfig& config,
     std::uint64_t last, const std::function<bool()>& go_on) {
   for (const auto& [sequence, pose] : poses_) {
     if (sequence > last) break;
     if (pose) continue;
     if (!go_on()) return false;
-    absl::Status decoding;
-    const absl::Status reading = vehicle.storage->ReadBatches(
-        vehicle.head.key(), sequence, sequence, BatchVersion::kCurrent,
-        [&](const BatchRecord& batch) {
-          const absl::StatusOr<DecodedPoses> poses =
-              vehicle.DecodeStoredPoses(batch, config);
-          if (poses.ok()) Take(poses->samples);
-          decoding = poses.status();
-          return false;
-        });
-    if (!reading.ok()) return reading;
-    if (!decoding.ok()) return decoding;
+    const absl::StatusOr<std::vector<core::PoseSample>> samples =
+        vehicle.ReadPosesAround(key, sequence, config);
+    if (!samples.ok()) return samples.status();
+    Take(*samples);
   }
   return true;
 }

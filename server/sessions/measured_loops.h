@@ -14,18 +14,18 @@
 #include "absl/status/statusor.h"
 #include "core/drive/measured_loop.h"
 #include "core/geometry/pose.h"
-#include "server/sessions/vehicle_state.h"
+#include "server/sessions/vehicle_reader.h"
 #include "server/storage/records.h"
 
 namespace revisit::server {
 
-// Belongs to the strand.
+// Thread-compatible.
 class MeasuredLoops {
  public:
   // Notes what was measured of a loop closure, if anything was; of a rejected
   // candidate nothing ever was. Errors: those of
   // RecordCodec::DecodeMeasurement().
-  absl::Status Add(const VehicleState& vehicle, core::StateSpace space,
+  absl::Status Add(const VehicleReader& vehicle, core::StateSpace space,
                    const PosePairRecord& pair);
   bool empty() const { return measurements_.empty(); }
 
@@ -33,7 +33,7 @@ class MeasuredLoops {
   void Take(const std::vector<core::PoseSample>& samples);
   // Takes the poses up to `last` that are wanted from the store, until `go_on`
   // says false. Returns whether all were taken.
-  absl::StatusOr<bool> ReadPoses(const VehicleState& vehicle,
+  absl::StatusOr<bool> ReadPoses(const VehicleReader& vehicle, VehicleKey key,
                                  const VehicleConfig& config,
                                  std::uint64_t last,
                                  const std::function<bool()>& go_on);

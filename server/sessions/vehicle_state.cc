@@ -1,35 +1,12 @@
 #include "server/sessions/vehicle_state.h"
 
-#include <cstddef>
-#include <vector>
-
 #include "absl/strings/str_cat.h"
-#include "core/drive/pose_graph.h"
-#include "core/geometry/pose.h"
 #include "server/storage/storage.h"
 
 namespace revisit::server {
 
 using absl::StatusCode;
 using absl::StrCat;
-
-namespace {
-
-bool AreOf(const BatchRecord& batch, const DecodedPoses& poses) {
-  if (poses.dropped) {
-    return poses.dropped->first_sequence == batch.first_sequence &&
-           poses.dropped->last_sequence ==
-               batch.first_sequence + batch.count - 1;
-  }
-  const std::vector<core::PoseSample>& samples = poses.samples;
-  bool fits = samples.size() == batch.count;
-  for (std::size_t i = 0; fits && i < samples.size(); ++i) {
-    fits = samples[i].sequence == batch.first_sequence + i;
-  }
-  return fits;
-}
-
-}  // namespace
 
 absl::Status ShuttingDown() {
   return Error(StatusCode::kUnavailable, "SERVER_DRAINING",
@@ -105,32 +82,6 @@ bool VehicleState::Agrees(const VehicleRecord& record) const {
          record.damage.ok() && head.damage().ok();
 }
 
-absl::StatusOr<DecodedBatch> VehicleState::DecodeStored(
-    const BatchRecord& batch, const VehicleConfig& with_config) const {
-  absl::StatusOr<DecodedBatch> decoded =
-      codec->DecodeBatch(batch.payload, with_config);
-  if (!decoded.ok()) return decoded;
-  if (decoded->fingerprints.size() != decoded->samples.size() ||
-      !AreOf(batch, *decoded)) {
-    return HoldsOthers(batch);
-  }
-  return decoded;
-}
-
-absl::StatusOr<DecodedPoses> VehicleState::DecodeStoredPoses(
-    const BatchRecord& batch, const VehicleConfig& with_config) const {
-  absl::StatusOr<DecodedPoses> poses =
-      codec->DecodePoses(batch.payload, with_config);
-  if (poses.ok() && !AreOf(batch, *poses)) return HoldsOthers(batch);
-  return poses;
-}
-
-absl::Status VehicleState::HoldsOthers(const BatchRecord& batch) const {
-  return Corrupt(StrCat("stored batch of ", batch.count,
-                        " poses from sequence ", batch.first_sequence,
-                        " holds others than these"));
-}
-
 absl::Status VehicleState::Writable() const {
   if (!head.damage().ok()) return head.damage();
   return head.config().data_loss ? DataLoss({}) : absl::OkStatus();
@@ -148,11 +99,6 @@ absl::Status VehicleState::OutOfStep() const {
                StrCat("vehicle '", id,
                       "' has to be loaded anew, since it and the store "
                       "disagree; try again"));
-}
-
-absl::Status VehicleState::Corrupt(const std::string& cause) const {
-  return server::Corrupt(StrCat("vehicle '", id, "': ", cause),
-                         {{"vehicle", id}});
 }
 
 absl::Status VehicleState::Regressed(const std::string& cause,

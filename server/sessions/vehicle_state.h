@@ -20,6 +20,7 @@
 #include "server/sessions/snapshot_progress.h"
 #include "server/sessions/vehicle_census.h"
 #include "server/sessions/vehicle_head.h"
+#include "server/sessions/vehicle_reader.h"
 #include "server/sessions/vehicle_view.h"
 #include "server/storage/records.h"
 
@@ -32,22 +33,17 @@ absl::Status ShuttingDown();
 
 // The parts keep their own invariants; what concerns several of them, and what
 // is said of the vehicle as a whole, is here.
-class VehicleState {
+class VehicleState : public VehicleReader {
  public:
   VehicleState(std::string vehicle_id, Storage* vehicle_storage,
                const RecordCodec* record_codec, SnapshotPolicy policy,
                ServerClock server_clock,
                std::shared_ptr<VehicleCensus> vehicle_census)
-      : id(std::move(vehicle_id)),
-        storage(vehicle_storage),
-        codec(record_codec),
+      : VehicleReader(std::move(vehicle_id), vehicle_storage, record_codec),
         clock(std::move(server_clock)),
         census(std::move(vehicle_census)),
         snapshots(std::move(policy)) {}
 
-  const std::string id;
-  Storage* const storage;
-  const RecordCodec* const codec;
   const ServerClock clock;
   // Null if nobody counts.
   const std::shared_ptr<VehicleCensus> census;
@@ -85,22 +81,12 @@ class VehicleState {
   // has it, the vehicle leaves. Reads the store.
   absl::Status CheckAgainstStore();
 
-  // Decodes a stored batch. DATA_LOSS if it is not what its row says.
-  absl::StatusOr<DecodedBatch> DecodeStored(
-      const BatchRecord& batch, const VehicleConfig& with_config) const;
-
-  // The same without what replays do not need.
-  absl::StatusOr<DecodedPoses> DecodeStoredPoses(
-      const BatchRecord& batch, const VehicleConfig& with_config) const;
-
   // OK if the vehicle takes writes.
   absl::Status Writable() const;
 
   // Errors about this vehicle. The first is ABORTED (EPOCH_FENCED).
   absl::Status HandedOver() const;
   absl::Status OutOfStep() const;
-  absl::Status Corrupt(const std::string& cause) const;
-  absl::Status HoldsOthers(const BatchRecord& batch) const;
   absl::Status Regressed(const std::string& cause,
                          ErrorMetadata metadata) const;
   absl::Status DataLoss(const ErrorMetadata& metadata) const;
