@@ -42,7 +42,7 @@ OtherDrives::OtherDrives(const DriveSettings& settings,
     : scope_(scope) {
   for (std::size_t d = 0; d < scope.drives->size(); ++d) {
     const DriveView& view = scope.drives->view(d);
-    if (scope.asking == d) continue;
+    if (scope.asking == d || !scope.Searches(d)) continue;
     if (const auto reason = WhyNot(d, settings, options)) {
       unsearched_.push_back({d, *reason});
     } else if (view.graph.size() > 0) {

@@ -47,10 +47,10 @@ class Search {
   // REQUIRES: query in the graph; FindProblems(options, settings()) is empty.
   absl::StatusOr<CandidateSet> At(NodeIndex query, const SearchOptions& options,
                                   const ShouldStop& should_stop);
-  // The same in a scope: in the histories of all drives there, and the drive's
-  // own unless that is excluded, against one new place. The answer depends on
-  // what the scope holds too. What the drive has shown of its scale and its
-  // drift (belief/mark.h) does not. REQUIRES: as for At().
+  // The same in a scope: in the histories of the drives that it searches, and
+  // the drive's own unless that is excluded, against one new place. The answer
+  // depends on what the scope holds too. What the drive has shown of its scale
+  // and its drift (belief/mark.h) does not. REQUIRES: as for At().
   absl::StatusOr<CandidateSet> At(NodeIndex query, const SearchOptions& options,
                                   const SearchScope& scope,
                                   const ShouldStop& should_stop);

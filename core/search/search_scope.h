@@ -5,19 +5,27 @@
 #include <cstddef>
 #include <memory>
 #include <optional>
+#include <vector>
 
 #include "core/drive/joined_drives.h"
 
 namespace revisit::core {
 
 struct SearchScope {
-  // Never null. A search looks in all but the one that asks and those that
-  // cannot be compared with it (UnsearchedDrive).
+  // Never null. A search looks in those that are searched, but for the one that
+  // asks and those that cannot be compared with it (UnsearchedDrive).
   std::shared_ptr<const JoinedDrives> drives;
   // Which of them asks; nothing where it is none of them, and so without links.
   std::optional<std::size_t> asking = std::nullopt;
   // Whether the asking drive's own history is left out.
   bool exclude_own = false;
+  // By drive, whether it is searched; empty: all are. The others tie frames all
+  // the same.
+  std::vector<bool> searched = {};
+
+  bool Searches(std::size_t drive) const {
+    return searched.empty() || searched[drive];
+  }
 };
 
 }  // namespace revisit::core

@@ -100,7 +100,7 @@ class Brute {
     std::map<std::pair<std::size_t, NodeIndex>, Wide> odds;
     const std::size_t self = *scope_.asking;
     for (std::size_t d = 0; d < starts.size(); ++d) {
-      if (d == self && scope_.exclude_own) continue;
+      if (d == self ? scope_.exclude_own : !scope_.Searches(d)) continue;
       const bool is_own = d == self;
       const PoseGraph& graph = is_own ? graph_ : scope_.drives->view(d).graph;
       const Recordings& recordings =
@@ -288,8 +288,15 @@ void ExpectAgreement(std::mt19937_64& random) {
     joined.push_back({drives[d].View(members[d].scale)});
     starts.push_back(members[d].starts);
   }
+  // One of the others is left out now and then.
+  std::vector<bool> searched;
+  if (UniformInt(random, 0, 2) == 0) {
+    searched.resize(count, true);
+    searched[(self + static_cast<std::size_t>(UniformInt(random, 1, 2))) %
+             count] = false;
+  }
   const SearchScope scope{std::make_shared<const JoinedDrives>(joined, links),
-                          self, UniformInt(random, 0, 1) == 1};
+                          self, UniformInt(random, 0, 1) == 1, searched};
   const auto set = Search(&asking).At(query, settings.search, scope, nullptr);
   ASSERT_TRUE(set.ok());
   const auto odds = Brute<D>(asking, scope).LogOdds(starts, links);

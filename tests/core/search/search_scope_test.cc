@@ -312,6 +312,42 @@ TEST(SearchScopeTest, ALinkSaysWhereAnotherDriveLies) {
   EXPECT_EQ(best({{0, 1, {m, c, nullptr}}}).matched, tied.matched);
 }
 
+TEST(SearchScopeTest, ADriveThatIsNotSearchedStillTiesFrames) {
+  DriveSettings settings;
+  settings.search.exhaustive = true;
+  settings.search.max_candidates = 50;
+  const OneAndMany drives(settings, {1300, 2400, 3500}, Datums(3));
+  const Drive& drive = drives.many[2];
+  // The first drive is tied to the last one only over the one between.
+  const auto joined =
+      drives.Joined({{1, 0, {40, 40, nullptr}}, {2, 1, {40, 40, nullptr}}});
+  const SearchScope all{joined, 2};
+  SearchScope first = all;
+  first.searched = {true, false, false};
+  const auto in_first = [&](const SearchScope& scope) {
+    std::vector<std::pair<NodeIndex, double>> found;
+    bool has_others = false;
+    const CandidateSet set =
+        Answer(drive, LastOf(drive), settings.search, &scope);
+    EXPECT_TRUE(set.unsearched.empty());
+    for (const Candidate& candidate : set.candidates) {
+      if (candidate.drive == 1u) has_others = true;
+      if (candidate.drive != 0u) continue;
+      EXPECT_NE(candidate.frame_state, FrameState::kNone);
+      found.emplace_back(candidate.matched, candidate.score);
+    }
+    EXPECT_EQ(has_others, scope.searched.empty());
+    return found;
+  };
+  const auto found = in_first(first);
+  const auto among_all = in_first(all);
+  ASSERT_FALSE(found.empty());
+  ASSERT_FALSE(among_all.empty());
+  EXPECT_EQ(found.front().first, among_all.front().first);
+  // But for the motion of the other, by which shapes are weighed.
+  EXPECT_NEAR(found.front().second, among_all.front().second, 0.01);
+}
+
 // Where errors grow says which blocks may be left out unseen.
 TEST(SearchScopeTest, GrowthIsThatOfEachViewAndIsForgottenWithIt) {
   const std::vector<Pose> ring = Ring(1300.0);
