@@ -3,10 +3,12 @@
 
     road_drives.py EXTRACT.osm.pbf --out DRIVE.csv [--length-km KM] [--seed N]
                    [--radius-km KM] [--noise-scale FACTOR]
-                   [--gyro-bias-deg-s DEG_PER_S]
+                   [--gyro-bias-deg-s DEG_PER_S] [--vehicles N]
 
 The result is a drive file with truth for `revisit evaluate`: metres, radians
 and seconds, x to the east, y to the north, the first true position at 0, 0.
+With `--vehicles`, it is as many files, DRIVE-1.csv and so on, of the seeds from N
+on, whose true positions are in one frame: that of the map.
 
 Roads: motorway to residential with their links, without service roads and what
 is private; oneway streets go one way. A vehicle starts where roads are dense,
@@ -330,13 +332,18 @@ def steer(points, count):
     return poses
 
 
-def drive(network, length, seed, radius=math.inf):
-    """The true poses of a drive of `length` metres that begins at 0, 0."""
+def drive_on_map(network, length, seed, radius=math.inf):
+    """The true poses of a drive of `length` metres, in the frame of the map."""
     rng = random.Random(seed)
     # The wander has numbers of its own, so that it does not decide the way.
     wander = random.Random(rng.random())
-    poses = steer(lane(drive_middles(network, radius, rng), wander),
-                  math.ceil(length / STEP) + 1)
+    return steer(lane(drive_middles(network, radius, rng), wander),
+                 math.ceil(length / STEP) + 1)
+
+
+def drive(network, length, seed, radius=math.inf):
+    """The same, but beginning at 0, 0."""
+    poses = drive_on_map(network, length, seed, radius)
     return [Pose(pose.x - poses[0].x, pose.y - poses[0].y, pose.heading)
             for pose in poses]
 
@@ -410,6 +417,8 @@ def main():
     parser.add_argument("--gyro-bias-deg-s", type=float, default=0.0,
                         help="constant error of the heading's rate, degrees "
                              "per second (0)")
+    parser.add_argument("--vehicles", type=int, metavar="N",
+                        help="as many drives in the frame of the map")
     parser.add_argument("--out", type=pathlib.Path, required=True,
                         metavar="DRIVE.csv")
     options = parser.parse_args()
@@ -422,11 +431,19 @@ def main():
                  "pip install osmium")
     except (OSError, RuntimeError, ValueError) as error:
         sys.exit(f"{options.extract}: {error}")
-    truth = drive(network, 1000.0 * options.length_km, options.seed,
-                  1000.0 * options.radius_km)
-    write_drive(options.out, truth, dead_reckon(
-        truth, options.seed, options.noise_scale,
-        math.radians(options.gyro_bias_deg_s)))
+
+    def write(path, make, seed):
+        truth = make(network, 1000.0 * options.length_km, seed,
+                     1000.0 * options.radius_km)
+        write_drive(path, truth, dead_reckon(
+            truth, seed, options.noise_scale,
+            math.radians(options.gyro_bias_deg_s)))
+
+    if options.vehicles is None:
+        write(options.out, drive, options.seed)
+    for k in range(options.vehicles or 0):
+        write(options.out.with_stem(f"{options.out.stem}-{k + 1}"),
+              drive_on_map, options.seed + k)
 
 
 if __name__ == "__main__":

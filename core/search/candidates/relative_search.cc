@@ -59,9 +59,13 @@ class RelativeSearch {
       places = Rank(most);
       new_place = Claim(&places);
     }
-    const Rivals rivals(task_.histories, task_.frames.get(), model_,
-                        std::move(places),
-                        static_cast<std::size_t>(options_.max_candidates));
+    Rivals rivals(task_.histories, task_.frames.get(), model_,
+                  std::move(places),
+                  static_cast<std::size_t>(options_.max_candidates));
+    // One drive's own passes of a place are few.
+    if (task_.histories.size() > 1) {
+      new_place = rivals.AverageOverPasses(task_.histories, new_place);
+    }
     set->new_place_probability = new_place;
     set->candidates = Judge(rivals, new_place);
     return absl::OkStatus();

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <map>
+#include <numeric>
 #include <utility>
 
 #include "core/drive/node_range.h"
@@ -86,6 +87,50 @@ void Rivals::Weigh(const std::vector<History>& histories, Passes* passes,
   }
   weighed.probability = Pooled(histories[a.history].graph, weighed);
   weighed_.push_back(std::move(weighed));
+}
+
+double Rivals::AverageOverPasses(const std::vector<History>& histories,
+                                 double new_place) {
+  const std::vector<double> passes = CountPasses();
+  double claimed = 0.0;
+  double averaged = 0.0;
+  double rest = 1.0 - new_place;
+  for (std::size_t j = 0; j < places_.size(); ++j) {
+    rest -= places_[j].claimed;
+    if (passes[j] == 0.0) continue;
+    claimed += places_[j].claimed;
+    averaged += places_[j].claimed / passes[j];
+  }
+  if (averaged == 0.0) return new_place;
+  const double usual = claimed / averaged;
+  double total = new_place + std::max(rest, 0.0) / usual;
+  for (std::size_t j = 0; j < places_.size(); ++j) {
+    places_[j].claimed /= passes[j] == 0.0 ? usual : passes[j];
+    total += places_[j].claimed;
+  }
+  for (RankedPlace& place : places_) place.claimed /= total;
+  for (Weighed& weighed : weighed_) {
+    weighed.probability =
+        Pooled(histories[places_[weighed.place].history].graph, weighed);
+  }
+  return new_place / total;
+}
+
+// A place that is not weighed has its passes in common with the one that is
+// most like it.
+std::vector<double> Rivals::CountPasses() const {
+  std::vector<double> passes(places_.size());
+  std::vector<double> alike(places_.size());
+  for (const Weighed& weighed : weighed_) {
+    const double others =
+        std::accumulate(weighed.same.begin(), weighed.same.end(), -1.0);
+    for (std::size_t j = 0; j < places_.size(); ++j) {
+      if (weighed.same[j] <= alike[j]) continue;
+      alike[j] = weighed.same[j];
+      passes[j] = 1.0 + weighed.same[j] * others;
+    }
+  }
+  return passes;
 }
 
 // Whether a place that is weighed is more probably this one than not.

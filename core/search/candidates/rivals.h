@@ -5,6 +5,9 @@
 // Passes of one place speak for each other: to what a place has claimed comes
 // what every other has, times the probability that the two are the same place
 // (same_place.h), in whichever recordings they lie.
+//
+// But a road that many have driven is no likelier for that than another one
+// (AverageOverPasses()).
 #ifndef REVISIT_CORE_SEARCH_CANDIDATES_RIVALS_H_
 #define REVISIT_CORE_SEARCH_CANDIDATES_RIVALS_H_
 
@@ -54,6 +57,16 @@ class Rivals {
          const RelativeModel& model, std::vector<RankedPlace> places,
          std::size_t answered = 0);
 
+  // Divides the odds of each place by how many passes it has, as far as they
+  // are known: by the sum of the probabilities that the others are passes of
+  // it. So a place is as probable as its passes are on average, however many
+  // there are. What no place has claimed, and places that claim too little to
+  // be asked, count as the others do on average. `new_place` is the probability
+  // of a new place; returns the one that is left. The histories are those that
+  // this was made with. Call at most once.
+  double AverageOverPasses(const std::vector<History>& histories,
+                           double new_place);
+
   const std::vector<RankedPlace>& places() const { return places_; }
 
   // Probability of place i, together with all other passes of it. What others
@@ -81,6 +94,9 @@ class Rivals {
   void Weigh(const std::vector<History>& histories, Passes* passes,
              std::size_t place);
   bool IsLikeAny(std::size_t place) const;
+  // For each place how many passes it has, itself among them; 0 where that is
+  // not known.
+  std::vector<double> CountPasses() const;
   // The graph is that of the place's history.
   double Pooled(const PoseGraph& graph, const Weighed& weighed) const;
 

@@ -460,5 +460,29 @@ TEST(SearchScopeTest, AViewAnswersAsTheDriveWasThen) {
             before.comparisons);
 }
 
+// Prior odds belong to a road, not to those who have driven it.
+TEST(SearchScopeTest, ARoadIsAsProbableHoweverManyHaveDrivenIt) {
+  const DriveSettings settings;
+  Drive asking(settings);
+  asking.Append(RecordingOf(Ring(700.0), DatumAt({}, 50.0, 0.02), 0), 1);
+  Drive other(settings);
+  other.Append(RecordingOf(Ring(700.0), DatumAt({}, 50.0, 0.02), 0), 1);
+  const auto ask = [&](std::size_t passes) {
+    std::vector<const Drive*> drives(passes, &other);
+    drives.push_back(&asking);
+    const SearchScope scope{Join(drives), passes, /*exclude_own=*/true};
+    return Answer(asking, 300, settings.search, &scope);
+  };
+  const CandidateSet one = ask(1);
+  ASSERT_FALSE(one.candidates.empty());
+  for (const std::size_t passes : {4, 16, 64}) {
+    SCOPED_TRACE(passes);
+    const CandidateSet many = ask(passes);
+    EXPECT_NEAR(*many.new_place_probability, *one.new_place_probability, 0.02);
+    EXPECT_NEAR(many.candidates[0].relative->probability,
+                one.candidates[0].relative->probability, 0.02);
+  }
+}
+
 }  // namespace
 }  // namespace revisit::core

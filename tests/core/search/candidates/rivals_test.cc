@@ -92,6 +92,43 @@ TEST(RivalsTest, PassesOfTwoDrivesSpeakForEachOtherWhereALinkJoinsThem) {
   EXPECT_NEAR(rivals.Probability(2), 0.1, 1e-9);
 }
 
+TEST(RivalsTest, APlaceIsAsProbableAsItsPassesAreOnAverage) {
+  PoseGraph graph = ThreeRoads();
+  graph.AddLoopEdge(50, 150);
+  const std::vector<History> histories = {{graph, graph.size()}};
+  RelativeModel model;
+  model.similarity.correlation = CorrelationModel::kIndependent;
+  Rivals rivals(histories, nullptr, model,
+                {Claiming(50, 0.5), Claiming(150, 0.3), Claiming(250, 0.1)});
+  const double total = 0.5 / 2 + 0.3 / 2 + 0.1 + 0.1;
+  EXPECT_NEAR(rivals.AverageOverPasses(histories, 0.1), 0.1 / total, 1e-9);
+  EXPECT_NEAR(rivals.Probability(0), (0.5 / 2 + 0.3 / 2) / total, 1e-9);
+  EXPECT_NEAR(rivals.Probability(1), (0.5 / 2 + 0.3 / 2) / total, 1e-9);
+  EXPECT_NEAR(rivals.Probability(2), 0.1 / total, 1e-9);
+  EXPECT_NEAR(rivals.RunnerUp(0), 0.1 / total, 1e-9);
+}
+
+// As on a road of which ends lie outside the stretches that were claimed.
+TEST(RivalsTest, UnclaimedEndsHaveAsManyPassesAsClaimedOnesOnAverage) {
+  PoseGraph graph = ThreeRoads();
+  graph.AddLoopEdge(50, 150);
+  const std::vector<History> histories = {{graph, graph.size()}};
+  RelativeModel model;
+  model.similarity.correlation = CorrelationModel::kIndependent;
+  Rivals rivals(histories, nullptr, model,
+                {Claiming(50, 0.4), Claiming(150, 0.2)});
+  EXPECT_NEAR(rivals.AverageOverPasses(histories, 0.1), 0.1 / (0.1 + 0.9 / 2),
+              1e-9);
+  EXPECT_NEAR(rivals.Probability(0), 0.3 / (0.1 + 0.9 / 2), 1e-9);
+}
+
+TEST(RivalsTest, WithoutPlacesThereIsNothingToAverage) {
+  const PoseGraph graph = ThreeRoads();
+  const std::vector<History> histories = {{graph, graph.size()}};
+  Rivals rivals(histories, nullptr, RelativeModel(), {});
+  EXPECT_EQ(rivals.AverageOverPasses(histories, 0.7), 0.7);
+}
+
 TEST(RivalsTest, ProbabilitiesAreAtMostOne) {
   PoseGraph graph = ThreeRoads();
   graph.AddLoopEdge(50, 150);
