@@ -1,0 +1,363 @@
+#include "server/fleet/group_searches.h"
+
+#include <atomic>
+#include <chrono>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include "gmock/gmock.h"
+#include "google/protobuf/repeated_field.h"
+#include "gtest/gtest.h"
+#include "server/base/metrics.h"
+#include "server/records/group_content.h"
+#include "tests/server/error_matchers.h"
+#include "tests/server/fleet/histories.h"
+#include "tests/server/memory_storage.h"
+#include "tests/server/plain_codec.h"
+#include "tests/server/sessions/session_testing.h"
+#include "tests/server/storage_testing.h"
+
+namespace revisit::server {
+namespace {
+
+using absl::StatusCode;
+using ::testing::_;
+using ::testing::ElementsAre;
+using ::testing::IsEmpty;
+
+using Ready = absl::StatusOr<GroupScope>;
+
+// Lets batches of all vehicles but one be read only while it is not held.
+class HeldReads : public MemoryStorage {
+ public:
+  void HoldAllBut(VehicleKey key) { free_ = key; }
+  void Release() { free_ = 0; }
+
+  absl::Status ReadBatches(
+      VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,
+      BatchVersion version,
+      const std::function<bool(BatchRecord)>& visit) override {
+    while (free_ != 0 && free_ != key) std::this_thread::yield();
+    return MemoryStorage::ReadBatches(key, first_sequence, last_sequence,
+                                      version, visit);
+  }
+
+ private:
+  // 0: none is held.
+  std::atomic<VehicleKey> free_{0};
+};
+
+auto IsNotReady() {
+  return IsError(StatusCode::kUnavailable, "GROUP_NOT_READY", _);
+}
+
+// Where the frame of a first recording lies.
+std::string DatumAt(double x) {
+  const std::string empty;
+  google::protobuf::RepeatedField<double> values;
+  for (const double value : {9.0, 0.0, 0.0, 9.0, 0.0, 0.01}) values.Add(value);
+  RecordingStartFields fields;
+  fields.label = &empty;
+  fields.relation = RecordingStartFields::Relation::kDatum;
+  fields.covariance = CovarianceFields{CovarianceForm::kPlanar6, &values};
+  fields.datum_id = &empty;
+  fields.datum_pose = {x, 0.0, 0.0, 0.0};
+  return EncodeMemberContent(&fields);
+}
+
+std::vector<std::string> IdsOf(const GroupScope& scope) {
+  std::vector<std::string> ids;
+  for (const auto& history : scope.joined->histories) {
+    ids.push_back(history->vehicle_id);
+  }
+  return ids;
+}
+
+std::string TextOf(const GroupScope& scope) {
+  std::string text;
+  for (const auto& history : scope.joined->histories) text += ToText(*history);
+  return text;
+}
+
+double ValueOf(const GroupSearches& searches, const std::string& name) {
+  Metrics metrics;
+  searches.CollectMetrics(&metrics);
+  for (const MetricFamily& family : metrics.families()) {
+    if (family.name() == name) return family.samples().at(0).value;
+  }
+  ADD_FAILURE() << name;
+  return 0.0;
+}
+
+// Vehicles "a", "b" and "c", members of the group "site", on the same square.
+class GroupSearchesTest : public ::testing::Test {
+ protected:
+  GroupSearchesTest() {
+    EXPECT_THAT(groups_.Create("site", EncodeGroupContent({})), IsOk());
+    Start();
+    for (const char* id : {"a", "b", "c"}) Make(id);
+  }
+
+  void Make(const std::string& id) {
+    VehicleConfig config = TestConfig();
+    config.uid = "uid-of-" + id;
+    EXPECT_THAT(
+        BlockingWrites(&memory_).Create(id, codec_.EncodeVehicle(config)),
+        IsOk());
+    Append(id, 1, 200);
+    EXPECT_THAT(groups_.Change("site", {AddGroupMember{{KeyOf(id), ""}}}),
+                IsOk());
+  }
+
+  VehicleKey KeyOf(const std::string& id) {
+    return memory_.GetVehicle(id)->key;
+  }
+
+  void Append(const std::string& id, std::uint64_t first, std::uint64_t count) {
+    EXPECT_THAT(AppendNow(*fleet_->Session(id), SquareBatch(first, count)),
+                IsOk());
+  }
+
+  // As after a restart: no vehicle is in memory.
+  void Start() {
+    searches_.reset();
+    fleet_.reset();
+    fleet_ = std::make_unique<Fleet>(&memory_, &codec_, &executor_,
+                                     Fleet::Options());
+    searches_ = std::make_unique<GroupSearches>(fleet_.get(), &memory_, &codec_,
+                                                &executor_, options_);
+  }
+
+  Ready Prepare(ScopeRequest request) {
+    // The asking vehicle is in memory.
+    const auto session = fleet_->Session(request.asking);
+    EXPECT_THAT(ReadNow(*session), IsOk());
+    if (!request.may_read) {
+      request.may_read = [](const std::string&) { return true; };
+    }
+    const Answer<std::shared_ptr<Ready>> answer;
+    searches_->Prepare(std::move(request), [answer](Ready ready) {
+      answer.Set(std::make_shared<Ready>(std::move(ready)));
+    });
+    return *answer.Get();
+  }
+
+  static ScopeRequest Asking(const std::string& id) {
+    ScopeRequest request;
+    request.group = "site";
+    request.asking = id;
+    return request;
+  }
+
+  // Once the histories are there.
+  GroupScope Await(const ScopeRequest& request) {
+    Ready ready = Prepare(request);
+    while (absl::IsUnavailable(ready.status())) ready = Prepare(request);
+    EXPECT_THAT(ready, IsOk());
+    return *ready;
+  }
+
+  // Whether searches come to see this.
+  bool ComeToSee(const ScopeRequest& request,
+                 const std::function<bool(const GroupScope&)>& holds) {
+    return Eventually([&] { return holds(Await(request)); });
+  }
+
+  GroupSearches::Options options_;
+  HeldReads memory_;
+  BlockingGroupWrites groups_{&memory_};
+  PlainCodec codec_;
+  // One for each vehicle that is held, and one more.
+  Executor executor_{3};
+  std::unique_ptr<Fleet> fleet_;
+  std::unique_ptr<GroupSearches> searches_;
+};
+
+TEST_F(GroupSearchesTest, TakesVehiclesInMemoryAtOnce) {
+  const Ready ready = Prepare(Asking("b"));
+  ASSERT_THAT(ready, IsOk());
+  EXPECT_THAT(IdsOf(*ready), ElementsAre("a", "b", "c"));
+  EXPECT_EQ(ready->scope.asking, 1u);
+  EXPECT_THAT(ready->absent, IsEmpty());
+  EXPECT_EQ(ready->joined->group->version.revision, 4u);
+}
+
+TEST_F(GroupSearchesTest, ReadsOthersFromTheStoreWithTheSameBits) {
+  const std::string in_memory = TextOf(*Prepare(Asking("b")));
+  Start();
+  memory_.HoldAllBut(KeyOf("b"));
+  EXPECT_THAT(Prepare(Asking("b")), IsNotReady());
+  memory_.Release();
+  const GroupScope scope = Await(Asking("b"));
+  EXPECT_EQ(TextOf(scope), in_memory);
+  EXPECT_EQ(fleet_->SessionIfLoaded("a"), nullptr);
+  EXPECT_EQ(fleet_->SessionIfLoaded("c"), nullptr);
+}
+
+TEST_F(GroupSearchesTest, AnswersInPartWhereThatIsAllowed) {
+  Start();
+  memory_.HoldAllBut(KeyOf("b"));
+  ScopeRequest request = Asking("b");
+  request.allow_partial = true;
+  const Ready ready = Prepare(request);
+  memory_.Release();
+  ASSERT_THAT(ready, IsOk());
+  EXPECT_THAT(IdsOf(*ready), ElementsAre("b"));
+  ASSERT_EQ(ready->absent.size(), 2u);
+  EXPECT_EQ(ready->absent[0].vehicle_id, "a");
+  EXPECT_EQ(ready->absent[0].absence, Absence::kNotReady);
+}
+
+TEST_F(GroupSearchesTest, KeepsUpWithVehiclesWhereverTheyAre) {
+  Start();
+  EXPECT_EQ(Await(Asking("b")).joined->histories[0]->last_sequence, 200u);
+  // In memory here from now on.
+  Append("a", 201, 20);
+  // And still elsewhere.
+  const BatchRecord batch{201, 30, memory_.GetVehicle("c")->revision + 1,
+                          SquareBatch(201, 30)};
+  ASSERT_THAT(BlockingWrites(&memory_).Append(KeyOf("c"), batch), IsOk());
+  EXPECT_TRUE(ComeToSee(Asking("b"), [](const GroupScope& scope) {
+    return scope.joined->histories[0]->last_sequence == 220 &&
+           scope.joined->histories[2]->last_sequence == 230;
+  }));
+  EXPECT_EQ(fleet_->SessionIfLoaded("c"), nullptr);
+}
+
+TEST_F(GroupSearchesTest, SharesWhatIsJoinedWhileNothingChanges) {
+  const GroupScope scope = Await(Asking("b"));
+  EXPECT_EQ(Await(Asking("b")).joined, scope.joined);
+  EXPECT_EQ(Await(Asking("a")).joined, scope.joined);
+}
+
+TEST_F(GroupSearchesTest, CallersSeeWhatTheyMayRead) {
+  ScopeRequest some = Asking("b");
+  some.may_read = [](const std::string& id) { return id != "a"; };
+  EXPECT_THAT(IdsOf(Await(some)), ElementsAre("b", "c"));
+  EXPECT_THAT(IdsOf(Await(Asking("b"))), ElementsAre("a", "b", "c"));
+  EXPECT_THAT(IdsOf(Await(some)), ElementsAre("b", "c"));
+  some.vehicles = {"a"};
+  EXPECT_THAT(Prepare(some),
+              IsError(StatusCode::kNotFound, "MEMBER_NOT_FOUND", _));
+}
+
+TEST_F(GroupSearchesTest, RefusesWhatIsNotThere) {
+  ScopeRequest request = Asking("b");
+  request.vehicles = {"a", "z"};
+  EXPECT_THAT(Prepare(request),
+              IsError(StatusCode::kNotFound, "MEMBER_NOT_FOUND", _));
+  request = Asking("b");
+  request.group = "elsewhere";
+  EXPECT_THAT(Prepare(request),
+              IsError(StatusCode::kNotFound, "GROUP_NOT_FOUND", _));
+}
+
+TEST_F(GroupSearchesTest, LooksInTheVehiclesThatAreNamed) {
+  ScopeRequest request = Asking("b");
+  request.vehicles = {"c"};
+  const GroupScope scope = Await(request);
+  // The others tie frames.
+  EXPECT_THAT(IdsOf(scope), ElementsAre("a", "b", "c"));
+  EXPECT_FALSE(scope.scope.Searches(0));
+  EXPECT_TRUE(scope.scope.Searches(2));
+}
+
+TEST_F(GroupSearchesTest, AVehicleThatIsNoMemberMayAsk) {
+  EXPECT_THAT(groups_.Change("site", {RemoveGroupMember{KeyOf("b")}}), IsOk());
+  const GroupScope scope = Await(Asking("b"));
+  EXPECT_THAT(IdsOf(scope), ElementsAre("a", "c"));
+  EXPECT_FALSE(scope.scope.asking.has_value());
+}
+
+TEST_F(GroupSearchesTest, SeesChangesOfTheGroup) {
+  const auto state_of_c = [](const GroupScope& scope) {
+    const core::DriveView& asking = scope.joined->drives->view(1);
+    const core::SeenFrames seen = scope.joined->drives->SeenFrom(
+        asking.nodes(), asking.recordings, asking.graph.size() - 1, {},
+        scope.scope.asking);
+    const auto ties = seen.relations.From(seen.own);
+    return ties[*scope.joined->drives->FrameOf(2, asking.nodes())].state;
+  };
+  EXPECT_EQ(state_of_c(Await(Asking("b"))), core::FrameState::kNone);
+  ASSERT_THAT(
+      groups_.Change("site", {SetGroupMember{{KeyOf("b"), DatumAt(5)}},
+                              SetGroupMember{{KeyOf("c"), DatumAt(7)}}}),
+      IsOk());
+  EXPECT_TRUE(ComeToSee(Asking("b"), [&](const GroupScope& scope) {
+    return state_of_c(scope) == core::FrameState::kDatum;
+  }));
+  GroupLinkRecord link;
+  link.id = "link";
+  link.query = {KeyOf("b"), 100};
+  link.matched = {KeyOf("c"), 20};
+  link.payload = EncodeLinkContent({});
+  ASSERT_THAT(groups_.Change("site", {AddGroupLink{link}}), IsOk());
+  EXPECT_TRUE(ComeToSee(Asking("b"), [&](const GroupScope& scope) {
+    return state_of_c(scope) == core::FrameState::kProvisional;
+  }));
+  ASSERT_THAT(groups_.Change("site", {RemoveGroupMember{KeyOf("c")}}), IsOk());
+  EXPECT_TRUE(ComeToSee(Asking("b"), [](const GroupScope& scope) {
+    return IdsOf(scope) == std::vector<std::string>{"a", "b"};
+  }));
+}
+
+TEST_F(GroupSearchesTest, NamesDamagedMembers) {
+  memory_.DamagePose("c", 50);
+  Start();
+  const GroupScope scope = Await(Asking("b"));
+  EXPECT_THAT(IdsOf(scope), ElementsAre("a", "b"));
+  ASSERT_EQ(scope.absent.size(), 1u);
+  EXPECT_EQ(scope.absent[0].vehicle_id, "c");
+  EXPECT_EQ(scope.absent[0].absence, Absence::kDamaged);
+}
+
+// The mark is no change of the vehicle that its revision counts.
+TEST_F(GroupSearchesTest, SeesThatDamageWasFoundInAMember) {
+  Start();
+  Await(Asking("b"));
+  const VehicleRecord record = *memory_.GetVehicle("c");
+  VehicleConfig config = *codec_.DecodeVehicle(record);
+  config.damaged = true;
+  ASSERT_THAT(BlockingWrites(&memory_).Update(record.key,
+                                              codec_.EncodeVehicle(config), 0),
+              IsOk());
+  EXPECT_TRUE(ComeToSee(Asking("b"), [](const GroupScope& scope) {
+    return scope.absent.size() == 1 &&
+           scope.absent[0].absence == Absence::kDamaged;
+  }));
+}
+
+TEST_F(GroupSearchesTest, NamesMembersForWhichThereIsNoRoom) {
+  Start();
+  Await(Asking("b"));
+  EXPECT_EQ(ValueOf(*searches_, "revisit_followed_vehicles"), 2.0);
+  options_.most_bytes = static_cast<std::int64_t>(
+      ValueOf(*searches_, "revisit_followed_bytes") * 0.75);
+  Start();
+  const GroupScope scope = Await(Asking("b"));
+  EXPECT_EQ(scope.joined->histories.size(), 2u);
+  ASSERT_EQ(scope.absent.size(), 1u);
+  EXPECT_EQ(scope.absent[0].absence, Absence::kMemory);
+}
+
+TEST_F(GroupSearchesTest, LetsGoWhatNobodyAsksFor) {
+  Start();
+  const auto joined =
+      std::weak_ptr<const JoinedGroup>(Await(Asking("b")).joined);
+  searches_->UnloadIdle(std::chrono::steady_clock::now());
+  EXPECT_FALSE(joined.expired());
+  EXPECT_TRUE(Eventually([&] {
+    searches_->UnloadIdle(std::chrono::steady_clock::now() +
+                          std::chrono::hours(1));
+    return joined.expired();
+  }));
+  EXPECT_EQ(ValueOf(*searches_, "revisit_followed_bytes"), 0.0);
+}
+
+}  // namespace
+}  // namespace revisit::server

@@ -1,0 +1,165 @@
+#include "server/fleet/joined_group.h"
+
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "core/drive/drive.h"
+#include "core/drive/pose_graph.h"
+#include "core/settings.h"
+#include "google/protobuf/repeated_field.h"
+#include "gtest/gtest.h"
+#include "server/records/group_content.h"
+
+namespace revisit::server {
+namespace {
+
+using core::FrameState;
+
+std::string DatumAt(double x) {
+  const std::string empty;
+  google::protobuf::RepeatedField<double> values;
+  for (const double value : {9.0, 0.0, 0.0, 9.0, 0.0, 0.01}) values.Add(value);
+  RecordingStartFields fields;
+  fields.label = &empty;
+  fields.relation = RecordingStartFields::Relation::kDatum;
+  fields.covariance = CovarianceFields{CovarianceForm::kPlanar6, &values};
+  fields.datum_id = &empty;
+  fields.datum_pose = {x, 0.0, 0.0, 0.0};
+  return EncodeMemberContent(&fields);
+}
+
+// A group of vehicles 1, 2, ... which have driven 100 m straight on.
+class JoinGroupTest : public ::testing::Test {
+ protected:
+  // With fixes, if it has a latitude.
+  void Add(const std::string& datum,
+           std::optional<double> latitude = std::nullopt) {
+    const auto key = static_cast<VehicleKey>(histories_.size() + 1);
+    VehicleConfig config;
+    if (latitude) {
+      config.frame = CoordinateFrame::kGeodetic;
+      config.origin = GeodeticOrigin{*latitude, 7.0, 0.0};
+      config.drive.search.correlation_model =
+          core::CorrelationModel::kIndependent;
+    }
+    if (all_reckoned_) {
+      config.drive.search.correlation_model =
+          core::CorrelationModel::kDeadReckoning;
+    }
+    core::Drive drive(config.drive);
+    std::vector<core::PoseSample> samples;
+    for (std::uint64_t i = 1; i <= 101; ++i) {
+      core::PoseSample sample;
+      sample.sequence = i;
+      sample.pose.x = static_cast<double>(i);
+      for (int k = 0; k < 4; ++k) sample.covariance(k, k) = 0.01;
+      samples.push_back(sample);
+    }
+    drive.Append(samples, 1);
+    const std::string id(1, static_cast<char>('a' + key - 1));
+    histories_.push_back(std::make_shared<const KnownHistory>(
+        KnownHistory{id, key, config, 1, 101, "series", HistoryView(drive)}));
+    GroupMemberRecord member;
+    member.vehicle = key;
+    member.vehicle_id = id;
+    member.payload = datum;
+    group_.members.push_back(member);
+  }
+
+  void Link(VehicleKey query, VehicleKey matched, std::uint64_t sequence,
+            const std::string& payload = EncodeLinkContent({})) {
+    StoredLink link;
+    link.record.query = {query, sequence};
+    link.record.matched = {matched, sequence};
+    link.record.payload = payload;
+    group_.links.push_back(link);
+  }
+
+  // How the first vehicle's frame is tied to another one's.
+  core::FrameRelation TieTo(std::size_t drive) {
+    const auto joined =
+        JoinGroup(std::make_shared<const StoredGroup>(group_), histories_,
+                  [this](const KnownHistory& history, std::uint64_t sequence) {
+                    read_.emplace_back(history.key, sequence);
+                    return std::optional<core::PoseEstimate>();
+                  });
+    const core::DriveView& asking = joined->drives->view(0);
+    const core::SeenFrames seen = joined->drives->SeenFrom(
+        asking.nodes(), asking.recordings, asking.graph.size() - 1, {}, 0);
+    return seen.relations.From(
+        seen.own)[*joined->drives->FrameOf(drive, asking.nodes())];
+  }
+
+  bool all_reckoned_ = false;
+  StoredGroup group_;
+  std::vector<std::shared_ptr<const KnownHistory>> histories_;
+  std::vector<std::pair<VehicleKey, std::uint64_t>> read_;
+};
+
+TEST_F(JoinGroupTest, DatumsPlaceFrames) {
+  Add(DatumAt(5.0));
+  Add(DatumAt(25.0));
+  Add("");
+  EXPECT_EQ(TieTo(1).state, FrameState::kDatum);
+  EXPECT_NEAR(TieTo(1).transform.x, 20.0, 1e-9);
+  EXPECT_EQ(TieTo(2).state, FrameState::kNone);
+}
+
+TEST_F(JoinGroupTest, FixesTieFramesWithoutAnyDatum) {
+  Add("", 45.0);
+  Add("", 45.01);
+  EXPECT_EQ(TieTo(1).state, FrameState::kDatum);
+  EXPECT_NEAR(TieTo(1).transform.y, 1111.0, 2.0);
+}
+
+TEST_F(JoinGroupTest, FixesAndDatumsNeedAnOriginToMeet) {
+  all_reckoned_ = true;
+  Add(DatumAt(5.0));
+  Add("", 45.0);
+  Add("", 45.01);
+  EXPECT_EQ(TieTo(1).state, FrameState::kNone);
+  group_.settings.geodetic_origin = GeodeticOrigin{45.0, 7.0, 0.0};
+  EXPECT_EQ(TieTo(1).state, FrameState::kDatum);
+  EXPECT_NEAR(TieTo(1).transform.x, -5.0, 1e-6);
+  EXPECT_NEAR(TieTo(2).transform.y, 1111.0, 2.0);
+}
+
+TEST_F(JoinGroupTest, LinksTieFrames) {
+  Add("");
+  Add("");
+  EXPECT_EQ(TieTo(1).state, FrameState::kNone);
+  Link(1, 2, 50);
+  EXPECT_EQ(TieTo(1).state, FrameState::kProvisional);
+  EXPECT_NEAR(TieTo(1).transform.x, 0.0, 1e-9);
+}
+
+TEST_F(JoinGroupTest, LinksOfPosesThatAreNotThereTieNothing) {
+  Add("");
+  Add("");
+  Link(1, 2, 102);
+  Link(1, 3, 50);
+  EXPECT_EQ(TieTo(1).state, FrameState::kNone);
+}
+
+TEST_F(JoinGroupTest, MeasurementsAreOfThePosesThemselves) {
+  Add("");
+  Add("");
+  google::protobuf::RepeatedField<double> values;
+  for (const double value : {1.0, 0.0, 0.0, 1.0, 0.0, 0.01}) values.Add(value);
+  LinkContent content;
+  MeasurementFields& measurement = content.content.measurement.emplace();
+  measurement.x_meters = 1.0;
+  measurement.covariance = CovarianceFields{CovarianceForm::kPlanar6, &values};
+  Link(1, 2, 50, EncodeLinkContent(content));
+  // Poses that cannot be read say nothing.
+  EXPECT_EQ(TieTo(1).state, FrameState::kNone);
+  ASSERT_FALSE(read_.empty());
+  EXPECT_EQ(read_[0], std::pair(VehicleKey{1}, std::uint64_t{50}));
+}
+
+}  // namespace
+}  // namespace revisit::server
