@@ -205,6 +205,7 @@ void RevisitServer::State::MakeService() {
   context.executor = parts->vehicles->read_executor();
   context.fleet = parts->vehicles->fleet();
   context.groups = parts->vehicles->groups();
+  context.group_searches = parts->vehicles->group_searches();
   context.feed = parts->vehicles->feed();
   context.drain = &parts->drain;
   context.gatekeeper = parts->identities->gatekeeper();
@@ -285,6 +286,7 @@ void RevisitServer::State::CollectMetrics(const Parts& from,
   run_notes->CollectMetrics(metrics);
   from.vehicles->census()->CollectMetrics(metrics);
   from.vehicles->fleet()->CollectMetrics(metrics);
+  from.vehicles->group_searches()->CollectMetrics(metrics);
   from.vehicles->feed()->CollectMetrics(metrics);
   from.identities->CollectMetrics(metrics);
   log->CollectMetrics("server", metrics);

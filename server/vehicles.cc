@@ -18,6 +18,12 @@ constexpr double kMostNodesPerPoseInDatabase = 1.25;
 // store that others change too are read again.
 constexpr std::chrono::minutes kCensusAgain{10};
 
+// The part of the memory limit that histories of groups take by default: one
+// in so many bytes.
+constexpr std::int64_t kPartForGroups = 4;
+// How often histories are let go that no search in a group has asked for.
+constexpr std::chrono::seconds kUnloadGroupsPeriod{30};
+
 int Processors() {
   return static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
 }
@@ -70,6 +76,15 @@ Fleet::Options FleetOptionsOf(const ServerSettings& settings,
   return options;
 }
 
+GroupSearches::Options GroupOptionsOf(const ServerSettings& settings) {
+  GroupSearches::Options options;
+  options.most_bytes =
+      settings.group_memory_mebibytes > 0
+          ? settings.group_memory_mebibytes << 20
+          : LimitsOf(settings).max_memory_bytes / kPartForGroups;
+  return options;
+}
+
 }  // namespace
 
 Vehicles::Vehicles(const ServerSettings& settings, Storage* storage,
@@ -98,6 +113,12 @@ Vehicles::Vehicles(const ServerSettings& settings, Storage* storage,
   fleet_ = std::make_unique<Fleet>(
       storage, &codec_, Lanes(&executor_, &read_executor_, &search_executor_),
       options);
+  group_searches_ = std::make_unique<GroupSearches>(fleet_.get(), storage,
+                                                    &codec_, &read_executor_,
+                                                    GroupOptionsOf(settings));
+  group_upkeep_ = std::make_unique<Periodic>(kUnloadGroupsPeriod, [this] {
+    group_searches_->UnloadIdle(std::chrono::steady_clock::now());
+  });
   upkeep_ = std::make_unique<Upkeep>(
       fleet_.get(), census_.get(), options,
       [this] { return admission_.UnderMemoryPressure(); });

@@ -7,9 +7,11 @@
 #include <memory>
 
 #include "server/base/logging.h"
+#include "server/base/periodic.h"
 #include "server/connections/admission.h"
 #include "server/conversion/stored_checks_codec.h"
 #include "server/feed/event_feed.h"
+#include "server/fleet/group_searches.h"
 #include "server/groups/group_editor.h"
 #include "server/records/proto_record_codec.h"
 #include "server/sessions/executor.h"
@@ -37,6 +39,8 @@ class Vehicles {
   const Admission* admission() const { return &admission_; }
   // For the vehicles' short work.
   Executor* executor() { return &executor_; }
+  GroupSearches* group_searches() { return group_searches_.get(); }
+  const GroupSearches* group_searches() const { return group_searches_.get(); }
   EventFeed* feed() { return &feed_; }
   const EventFeed* feed() const { return &feed_; }
   // For long reads of the store.
@@ -55,7 +59,9 @@ class Vehicles {
   GroupEditor groups_;
   std::shared_ptr<VehicleCensus> census_;
   std::unique_ptr<Fleet> fleet_;
+  std::unique_ptr<GroupSearches> group_searches_;
   std::unique_ptr<Upkeep> upkeep_;
+  std::unique_ptr<Periodic> group_upkeep_;
 };
 
 }  // namespace revisit::server

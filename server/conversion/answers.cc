@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <iterator>
+#include <map>
+#include <set>
 #include <string>
 
 #include "core/drive/dropped_stretch.h"
@@ -56,6 +58,15 @@ constexpr EnumRow<v1::EmptyReason, core::EmptyReason> kEmptyReasons[] = {
     {v1::EMPTY_REASON_NO_ALIGNMENT, core::EmptyReason::kNoAlignment},
     {v1::EMPTY_REASON_NO_PROBABLE_PLACE, core::EmptyReason::kNoProbablePlace},
     {v1::EMPTY_REASON_LIMIT_EXCEEDED, core::EmptyReason::kTooMuchWork}};
+constexpr EnumRow<v1::UnsearchedReason, core::UnsearchedReason>
+    kUnsearchedReasons[] = {
+        {v1::UNSEARCHED_REASON_STATE_SPACE,
+         core::UnsearchedReason::kStateSpace},
+        {v1::UNSEARCHED_REASON_CORRELATION_MODEL,
+         core::UnsearchedReason::kNoiseModel},
+        {v1::UNSEARCHED_REASON_NODE_SPACING,
+         core::UnsearchedReason::kNodeSpacing},
+        {v1::UNSEARCHED_REASON_ALIGNMENT, core::UnsearchedReason::kAlignment}};
 constexpr EnumRow<v1::Durability, Durability::Level> kDurabilities[] = {
     {v1::DURABILITY_LOCAL, Durability::Level::kLocal},
     {v1::DURABILITY_REPLICATED, Durability::Level::kReplicated},
@@ -195,16 +206,30 @@ void EncodeDifference(const core::GatedDifference& gated,
   EncodeCovariance(gated.covariance, space, message->mutable_covariance());
 }
 
+// Encodes where the matched node is, in its vehicle's own terms.
+void EncodeMatch(const std::string& vehicle_id, const core::PoseGraph& graph,
+                 const core::Recordings& recordings, core::StateSpace space,
+                 core::NodeIndex matched, v1::Candidate* message) {
+  EncodeNode(graph, matched, space, false, message->mutable_matched());
+  message->set_recording_of_match(RecordingName(
+      vehicle_id, recordings[recordings.Of(matched)].first_sequence));
+}
+
 void EncodeCandidate(const VehicleView& view, const core::Candidate& candidate,
-                     v1::Candidate* message) {
+                     const GroupScope* scope, v1::Candidate* message) {
   const core::StateSpace space = view.config.drive.state_space;
   message->set_rank(candidate.rank);
   message->set_score(candidate.score);
-  EncodeNode(view.drive.graph(), candidate.matched, space, false,
-             message->mutable_matched());
-  const core::Recordings& recordings = view.drive.recordings();
-  message->set_recording_of_match(RecordingName(
-      view.id, recordings[recordings.Of(candidate.matched)].first_sequence));
+  if (candidate.drive) {
+    const KnownHistory& other = *scope->joined->histories[*candidate.drive];
+    EncodeMatch(other.vehicle_id, other.view->graph, other.view->recordings,
+                space, candidate.matched, message);
+    message->set_matched_vehicle(VehicleName(other.vehicle_id));
+    message->set_matched_vehicle_uid(other.config.uid);
+  } else {
+    EncodeMatch(view.id, view.drive.graph(), view.drive.recordings(), space,
+                candidate.matched, message);
+  }
   message->set_frame_state(ToProto(kFrameStates, candidate.frame_state));
   if (candidate.difference) {
     EncodeGate(candidate.difference->gate, message->mutable_gate());
@@ -215,6 +240,67 @@ void EncodeCandidate(const VehicleView& view, const core::Candidate& candidate,
   message->set_verdict(ToProto(kVerdicts, candidate.verdict));
   message->set_direction(ToProto(kDirections, candidate.direction));
   if (candidate.relative) EncodeEvidence(*candidate.relative, message);
+}
+
+void EncodeDuration(std::chrono::nanoseconds duration,
+                    google::protobuf::Duration* message) {
+  message->set_seconds(duration.count() / kNanosPerSecond);
+  message->set_nanos(
+      static_cast<std::int32_t>(duration.count() % kNanosPerSecond));
+}
+
+// ---- Searches in groups
+
+v1::UnsearchedReason ReasonOf(Absence absence) {
+  switch (absence) {
+    case Absence::kDamaged:
+      return v1::UNSEARCHED_REASON_DAMAGED;
+    case Absence::kMemory:
+      return v1::UNSEARCHED_REASON_MEMORY;
+    case Absence::kNotReady:
+    case Absence::kNone:
+    case Absence::kGone:
+      return v1::UNSEARCHED_REASON_NOT_READY;
+  }
+  return v1::UNSEARCHED_REASON_UNSPECIFIED;
+}
+
+void EncodeSearched(const KnownHistory& history, std::chrono::nanoseconds lag,
+                    v1::SearchedVehicle* message) {
+  message->set_vehicle(VehicleName(history.vehicle_id));
+  message->set_node_count(history.view->graph.size());
+  message->set_last_sequence(history.last_sequence);
+  EncodeDuration(lag, message->mutable_lag());
+}
+
+// Drives are in the order of the vehicles' names.
+void EncodeScope(const core::CandidateSet& set, const GroupScope& scope,
+                 v1::CandidateSet* message) {
+  message->set_group_revision(scope.joined->group->version.revision);
+  const auto now = std::chrono::steady_clock::now();
+  std::map<std::string, v1::UnsearchedReason> unsearched;
+  for (const AbsentMember& absent : scope.absent) {
+    unsearched.emplace(absent.vehicle_id, ReasonOf(absent.absence));
+  }
+  std::set<std::size_t> left_out;
+  for (const core::UnsearchedDrive& drive : set.unsearched) {
+    left_out.insert(drive.drive);
+    unsearched.emplace(scope.joined->histories[drive.drive]->vehicle_id,
+                       ToProto(kUnsearchedReasons, drive.reason));
+  }
+  for (std::size_t d = 0; d < scope.joined->histories.size(); ++d) {
+    if (scope.scope.asking == d || !scope.scope.Searches(d) ||
+        left_out.count(d) > 0) {
+      continue;
+    }
+    EncodeSearched(*scope.joined->histories[d], now - scope.as_of[d],
+                   message->add_searched());
+  }
+  for (const auto& [vehicle_id, reason] : unsearched) {
+    v1::UnsearchedVehicle* const added = message->add_unsearched();
+    added->set_vehicle(VehicleName(vehicle_id));
+    added->set_reason(reason);
+  }
 }
 
 void EncodeAlignedPath(const core::Candidate& candidate,
@@ -343,7 +429,7 @@ void EncodeStorageUsers(const std::vector<StorageUser>& users,
 void EncodeCandidateSet(const VehicleView& view, const core::CandidateSet& set,
                         bool include_aligned_path,
                         std::chrono::nanoseconds search_duration,
-                        v1::CandidateSet* message) {
+                        v1::CandidateSet* message, const GroupScope* scope) {
   if (set.query) {
     EncodeNode(view.drive.graph(), *set.query, view.config.drive.state_space,
                false, message->mutable_query());
@@ -352,7 +438,7 @@ void EncodeCandidateSet(const VehicleView& view, const core::CandidateSet& set,
   for (const core::Candidate& candidate : set.candidates) {
     v1::Candidate* added = message->add_candidates();
     *added->mutable_query() = message->query();
-    EncodeCandidate(view, candidate, added);
+    EncodeCandidate(view, candidate, scope, added);
     if (include_aligned_path) EncodeAlignedPath(candidate, added);
   }
   message->set_empty_reason(ToProto(kEmptyReasons, set.empty_reason));
@@ -367,10 +453,8 @@ void EncodeCandidateSet(const VehicleView& view, const core::CandidateSet& set,
     estimate->set_low(set.scale->low);
     estimate->set_high(set.scale->high);
   }
-  message->mutable_search_duration()->set_seconds(search_duration.count() /
-                                                  kNanosPerSecond);
-  message->mutable_search_duration()->set_nanos(
-      static_cast<std::int32_t>(search_duration.count() % kNanosPerSecond));
+  EncodeDuration(search_duration, message->mutable_search_duration());
+  if (scope != nullptr) EncodeScope(set, *scope, message);
 }
 
 }  // namespace revisit::server

@@ -11,6 +11,7 @@
 #include "revisit/v1/pose_graph_service.pb.h"
 #include "revisit/v1/recording.pb.h"
 #include "revisit/v1/vehicle.pb.h"
+#include "server/fleet/group_scope.h"
 #include "server/sessions/append_request.h"
 #include "server/storage/records.h"
 #include "server/storage/storage_facts.h"
@@ -43,11 +44,13 @@ void EncodeDurability(const Durability& durability,
 void EncodeStorageUsers(const std::vector<StorageUser>& users,
                         v1::GetServerInfoResponse* response);
 
-// REQUIRES: the set was found in this view.
+// `scope`: that of the search, if it had one. REQUIRES: the set was found in
+// this view.
 void EncodeCandidateSet(const VehicleView& view, const core::CandidateSet& set,
                         bool include_aligned_path,
                         std::chrono::nanoseconds search_duration,
-                        v1::CandidateSet* message);
+                        v1::CandidateSet* message,
+                        const GroupScope* scope = nullptr);
 
 }  // namespace revisit::server
 

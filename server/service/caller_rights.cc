@@ -71,9 +71,10 @@ absl::Status CallerRights::AlsoNeeds(Verb verb) {
   return AddNeed(std::move(need));
 }
 
-absl::Status CallerRights::AlsoNeeds(Verb verb, const std::string& vehicle) {
+absl::Status CallerRights::AlsoNeeds(Verb verb, const std::string& id,
+                                     Resource resource) {
   const MutexLock lock(&mutex_);
-  return AddNeed({verb, Resource::kVehicle, vehicle});
+  return AddNeed({verb, resource, id});
 }
 
 std::shared_ptr<const Caller> CallerRights::Now() const {

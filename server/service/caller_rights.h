@@ -39,8 +39,9 @@ class CallerRights {
   // Checks a further verb on it, for a call that does more than its method
   // requires. After Choose().
   absl::Status AlsoNeeds(Verb verb);
-  // Checks a verb on a vehicle beside it.
-  absl::Status AlsoNeeds(Verb verb, const std::string& vehicle);
+  // Checks a verb on a vehicle or group beside it.
+  absl::Status AlsoNeeds(Verb verb, const std::string& id,
+                         Resource resource = Resource::kVehicle);
 
   // The caller as one with the same credentials would be now: one who may do
   // nothing, if they would not be let in.

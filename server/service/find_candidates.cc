@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "core/drive/drive.h"
@@ -11,6 +12,9 @@
 #include "server/base/status.h"
 #include "server/conversion/answers.h"
 #include "server/conversion/vehicle_settings.h"
+#include "server/fleet/group_scope.h"
+#include "server/fleet/group_searches.h"
+#include "server/service/group_search.h"
 #include "server/sessions/search_turns.h"
 #include "server/sessions/vehicle_session.h"
 #include "server/settings/limits.h"
@@ -49,6 +53,7 @@ absl::Status TooMuchWork(std::int64_t got, std::int64_t limit) {
 std::optional<absl::Status> TakeTurn(UnaryCall* call, const Limits& limits,
                                      const absl::StatusOr<VehicleView>& read,
                                      const v1::FindCandidatesRequest& request,
+                                     const GroupScope* scope,
                                      SearchTurns* search,
                                      v1::FindCandidatesResponse* response) {
   // The call may have waited long behind other work.
@@ -70,7 +75,8 @@ std::optional<absl::Status> TakeTurn(UnaryCall* call, const Limits& limits,
   const auto stop = [call] { return call->given_up(); };
   std::optional<absl::StatusOr<core::CandidateSet>> answer;
   if (*query) {
-    answer = search->Take(view, **query, *options, stop);
+    answer = search->Take(view, **query, *options, stop,
+                          scope == nullptr ? nullptr : &scope->scope);
   } else {
     answer = view.search->AtEnd(*options, stop);
   }
@@ -86,8 +92,58 @@ std::optional<absl::Status> TakeTurn(UnaryCall* call, const Limits& limits,
     return TooMuchWork(found->comparisons, limits.max_search_steps);
   }
   EncodeCandidateSet(view, *found, request.options().include_aligned_path(),
-                     search->all_turns(), response->mutable_candidates());
+                     search->all_turns(), response->mutable_candidates(),
+                     scope);
   return absl::OkStatus();
+}
+
+// A call on its way. All of it lives as long as the call.
+struct Finding {
+  UnaryCallPtr call;
+  std::shared_ptr<VehicleSession> session;
+  const v1::FindCandidatesRequest* request;
+  v1::FindCandidatesResponse* response;
+  Limits limits;
+};
+
+// Searches in turns, and ends the call. `scope`: null for the vehicle's own
+// history alone.
+void Search(const Finding& finding, std::shared_ptr<const GroupScope> scope) {
+  const auto search =
+      std::make_shared<SearchTurns>(finding.limits.max_search_steps);
+  finding.session->Search(
+      finding.call->searches().search_flow(),
+      [call = finding.call, request = finding.request,
+       response = finding.response, limits = finding.limits, search,
+       scope = std::move(scope)](const absl::StatusOr<VehicleView>& view) {
+        const std::optional<absl::Status> end =
+            TakeTurn(call.get(), limits, view, *request, scope.get(),
+                     search.get(), response);
+        if (end) call->End(*end);
+        return end.has_value();
+      });
+}
+
+// Gets the scope ready once the vehicle is loaded, whose own history is a part
+// of it.
+void SearchInGroup(const Finding& finding, const ScopeRequest& scope,
+                   GroupSearches* groups) {
+  finding.session->Read([finding, scope,
+                         groups](const absl::StatusOr<VehicleView>& view) {
+    const absl::Status status = view.ok() ? view->damage : view.status();
+    if (!status.ok()) {
+      finding.call->End(status);
+      return;
+    }
+    groups->Prepare(scope, [finding](absl::StatusOr<GroupScope> ready) {
+      if (finding.call->given_up() || !ready.ok()) {
+        finding.call->End(ready.ok() ? finding.call->GivenUpStatus()
+                                     : ready.status());
+        return;
+      }
+      Search(finding, std::make_shared<const GroupScope>(*std::move(ready)));
+    });
+  });
 }
 
 }  // namespace
@@ -96,22 +152,27 @@ absl::Status FindCandidates(const ServiceContext& service,
                             const UnaryCallPtr& call,
                             const v1::FindCandidatesRequest& request,
                             v1::FindCandidatesResponse* response) {
+  const auto id =
+      ParseVehicleName(request.vehicle(), kRequest.Field("vehicle"));
+  if (!id.ok()) return id.status();
   const auto session = SessionOf(service, request.vehicle(),
                                  kRequest.Field("vehicle"), call.get());
   if (!session.ok()) return session.status();
+  absl::StatusOr<ScopeRequest> scope = ScopeRequest();
+  if (request.options().has_scope()) {
+    const FieldPath options = kRequest.Field("options");
+    scope = DecodeScope(request.options().scope(), *id, options.Field("scope"),
+                        call.get());
+  }
+  if (!scope.ok()) return scope.status();
   if (absl::Status status = call->searches().TakeRoom(); !status.ok())
     return status;
-  const auto search =
-      std::make_shared<SearchTurns>(service.limits.max_search_steps);
-  (*session)->Search(call->searches().search_flow(),
-                     [=, limits = service.limits, request = &request](
-                         const absl::StatusOr<VehicleView>& view) {
-                       const std::optional<absl::Status> end =
-                           TakeTurn(call.get(), limits, view, *request,
-                                    search.get(), response);
-                       if (end) call->End(*end);
-                       return end.has_value();
-                     });
+  const Finding finding{call, *session, &request, response, service.limits};
+  if (request.options().has_scope()) {
+    SearchInGroup(finding, *scope, service.group_searches);
+  } else {
+    Search(finding, nullptr);
+  }
   return absl::OkStatus();
 }
 

@@ -22,6 +22,7 @@ class ExportedGraphs;
 class Fleet;
 class Gatekeeper;
 class GroupEditor;
+class GroupSearches;
 class Log;
 class Storage;
 
@@ -32,6 +33,7 @@ struct ServiceContext {
   Executor* executor = nullptr;
   Fleet* fleet = nullptr;
   GroupEditor* groups = nullptr;
+  GroupSearches* group_searches = nullptr;
   EventFeed* feed = nullptr;
   Drain* drain = nullptr;
   Gatekeeper* gatekeeper = nullptr;

@@ -279,8 +279,15 @@ class PoseStream final : public BidiCall<PoseStream> {
     return [given, max_steps = context_.limits.max_search_steps](
                const VehicleConfig& config) {
       const FieldPath open = FieldPath().Field("open");
-      absl::StatusOr<core::SearchOptions> options = DecodeCandidateOptions(
-          given, config, open.Field("candidate_options"));
+      const FieldPath path = open.Field("candidate_options");
+      if (given.has_scope()) {
+        return absl::StatusOr<core::SearchOptions>(
+            InvalidField("INVALID_FIELD", path.Field("scope"),
+                         "got one; checks of a stream look in the vehicle's "
+                         "own history only"));
+      }
+      absl::StatusOr<core::SearchOptions> options =
+          DecodeCandidateOptions(given, config, path);
       if (options.ok()) options->max_comparisons = max_steps;
       return options;
     };

@@ -19,8 +19,8 @@
 #include "core/drive/measured_loop.h"
 #include "server/sessions/judged_pairs.h"
 #include "server/sessions/measured_loops.h"
-#include "server/sessions/vehicle_reader.h"
 #include "server/sessions/vehicle_config.h"
+#include "server/sessions/vehicle_reader.h"
 #include "server/storage/records.h"
 
 namespace revisit::server {

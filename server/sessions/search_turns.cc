@@ -8,7 +8,8 @@ namespace revisit::server {
 
 std::optional<absl::StatusOr<core::CandidateSet>> SearchTurns::Take(
     const VehicleView& view, core::NodeIndex query,
-    const core::SearchOptions& options, const core::ShouldStop& should_stop) {
+    const core::SearchOptions& options, const core::ShouldStop& should_stop,
+    const core::SearchScope* scope) {
   const Clock::time_point start = Clock::now();
   Clock::duration waited{};
   const auto stop = [&] {
@@ -16,7 +17,7 @@ std::optional<absl::StatusOr<core::CandidateSet>> SearchTurns::Take(
     return should_stop && should_stop();
   };
   last_steps_ = 0;
-  auto answer = Work(view, query, options, stop);
+  auto answer = Work(view, query, options, scope, stop);
   last_turn_ = Clock::now() - start - waited;
   all_turns_ += last_turn_;
   return answer;
@@ -24,7 +25,8 @@ std::optional<absl::StatusOr<core::CandidateSet>> SearchTurns::Take(
 
 std::optional<absl::StatusOr<core::CandidateSet>> SearchTurns::Work(
     const VehicleView& view, core::NodeIndex query,
-    const core::SearchOptions& options, const core::ShouldStop& should_stop) {
+    const core::SearchOptions& options, const core::SearchScope* scope,
+    const core::ShouldStop& should_stop) {
   const auto missing = view.search->FindMissingMark(query, options);
   if (missing) {
     const std::int64_t others = comparisons_ + missing->comparisons_of_search;
@@ -37,9 +39,12 @@ std::optional<absl::StatusOr<core::CandidateSet>> SearchTurns::Work(
     if (!learned.ok()) return learned;
     return std::nullopt;
   }
-  last_steps_ = view.search->ComparisonsAt(query, options);
+  last_steps_ = scope == nullptr
+                    ? view.search->ComparisonsAt(query, options)
+                    : view.search->ComparisonsAt(query, options, *scope);
   absl::StatusOr<core::CandidateSet> found =
-      view.search->At(query, options, should_stop);
+      scope == nullptr ? view.search->At(query, options, should_stop)
+                       : view.search->At(query, options, *scope, should_stop);
   if (found.ok()) found->comparisons += comparisons_;
   return found;
 }

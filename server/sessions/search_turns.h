@@ -13,6 +13,7 @@
 #include "absl/status/statusor.h"
 #include "core/drive/node_index.h"
 #include "core/search/candidates/candidate.h"
+#include "core/search/search_scope.h"
 #include "core/search/should_stop.h"
 #include "core/settings.h"
 #include "server/sessions/vehicle_view.h"
@@ -36,10 +37,11 @@ class SearchTurns {
   // RESOURCE_EXHAUSTED, without details, if the marks that are missing are too
   // much for one search: those that it searched are kept, so that another one
   // comes further. CANCELLED if told to stop. REQUIRES: as for
-  // core::Search::At().
+  // core::Search::At(). `scope`: null for the vehicle's own history alone.
   std::optional<absl::StatusOr<core::CandidateSet>> Take(
       const VehicleView& view, core::NodeIndex query,
-      const core::SearchOptions& options, const core::ShouldStop& should_stop);
+      const core::SearchOptions& options, const core::ShouldStop& should_stop,
+      const core::SearchScope* scope = nullptr);
 
   // The comparisons that the last turn was about to make when it began, also if
   // it was stopped.
@@ -52,7 +54,8 @@ class SearchTurns {
  private:
   std::optional<absl::StatusOr<core::CandidateSet>> Work(
       const VehicleView& view, core::NodeIndex query,
-      const core::SearchOptions& options, const core::ShouldStop& should_stop);
+      const core::SearchOptions& options, const core::SearchScope* scope,
+      const core::ShouldStop& should_stop);
 
   std::int64_t most_comparisons_;
   // Of the marks that were searched.

@@ -1,5 +1,5 @@
-// Reads a vehicle's rows in the store: for the session that has the vehicle, and
-// for those who do not load it.
+// Reads a vehicle's rows in the store: for the session that has the vehicle,
+// and for those who do not load it.
 #ifndef REVISIT_SERVER_SESSIONS_VEHICLE_READER_H_
 #define REVISIT_SERVER_SESSIONS_VEHICLE_READER_H_
 

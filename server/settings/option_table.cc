@@ -221,6 +221,9 @@ void AddServing(Group add, ServerSettings& s) {
   add.Number("memory-budget-mebibytes", &s.memory_budget_mebibytes, 0, 1 << 30,
              "Mebibytes of nodes and edges above which unused vehicles are "
              "unloaded sooner; 0: no limit");
+  add.Number("group-memory-mebibytes", &s.group_memory_mebibytes, 0, 1 << 30,
+             "Mebibytes of histories that are read from the store for searches "
+             "in groups; 0 means a quarter of max-memory-bytes");
   add.Number("snapshot-poses", &s.snapshot_poses, 0, 1 << 30,
              "Poses of a vehicle after which its graph is stored anew as a "
              "snapshot, from which it is loaded faster; 0: no snapshots");

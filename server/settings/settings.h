@@ -77,6 +77,9 @@ struct ServerSettings {
   // stream holds are unloaded sooner, the longest unused first; 0 sets no
   // limit. Range [0, 2^30].
   std::int64_t memory_budget_mebibytes = 0;
+  // Mebibytes that histories may take that are read from the store for searches
+  // in groups; 0 means a quarter of Limits::max_memory_bytes. Range [0, 2^30].
+  std::int64_t group_memory_mebibytes = 0;
   // After so many poses of a vehicle, its graph is stored as a snapshot, from
   // which it is loaded faster than from its poses; 0 stores none, and removes
   // that of a vehicle when it is loaded. Range [0, 2^30].

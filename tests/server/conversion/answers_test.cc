@@ -23,6 +23,7 @@
 #include "google/protobuf/util/message_differencer.h"
 #include "gtest/gtest.h"
 #include "server/conversion/findings.h"
+#include "server/fleet/group_scope.h"
 #include "server/records/proto_record_codec.h"
 #include "server/sessions/vehicle_uid.h"
 #include "tests/server/conversion/conversion_testing.h"
@@ -129,6 +130,64 @@ v1::CandidateSet Encoded(const core::Candidate& candidate,
   EncodeCandidateSet({id, config, drive, 1, 481, 7, 0}, whole, false, {},
                      &message);
   return message;
+}
+
+std::shared_ptr<const KnownHistory> HistoryOf(const std::string& id) {
+  VehicleConfig config = Planar();
+  config.uid = "uid-of-" + id;
+  const core::Drive drive = TwoLaps(config.drive);
+  return std::make_shared<const KnownHistory>(
+      KnownHistory{id, 1, config, 7, 481, "series", HistoryView(drive)});
+}
+
+TEST(AnswerTest, AnswerInAGroupNamesTheVehicles) {
+  StoredGroup group;
+  group.version.revision = 12;
+  GroupScope scope;
+  scope.joined = std::make_shared<const JoinedGroup>(JoinedGroup{
+      std::make_shared<const StoredGroup>(group),
+      {HistoryOf("a"), HistoryOf("c"), HistoryOf("d"), HistoryOf("square")},
+      nullptr});
+  scope.scope.asking = 3;
+  scope.scope.searched = {true, true, false, true};
+  scope.as_of.assign(4, std::chrono::steady_clock::now());
+  scope.absent = {{"b", Absence::kMemory}, {"e", Absence::kDamaged}};
+  const std::string id = "square";
+  const VehicleConfig config = Planar();
+  const core::Drive drive = TwoLaps(config.drive);
+  core::CandidateSet set;
+  set.query = 240;
+  set.candidates.resize(2);
+  set.candidates[0].drive = 1;
+  set.candidates[0].matched = 30;
+  set.candidates[1].matched = 40;
+  set.unsearched = {{0, core::UnsearchedReason::kNodeSpacing}};
+  v1::CandidateSet message;
+  EncodeCandidateSet({id, config, drive, 1, 481, 7, 0}, set, false, {},
+                     &message, &scope);
+  EXPECT_EQ(message.group_revision(), 12u);
+  const v1::Candidate& other = message.candidates(0);
+  EXPECT_EQ(other.matched_vehicle(), "vehicles/c");
+  EXPECT_EQ(other.matched_vehicle_uid(), "uid-of-c");
+  EXPECT_EQ(other.recording_of_match(), "vehicles/c/recordings/1");
+  EXPECT_EQ(other.matched().index(), 30);
+  EXPECT_EQ(message.candidates(1).matched_vehicle(), "");
+  EXPECT_EQ(message.candidates(1).recording_of_match(),
+            "vehicles/square/recordings/1");
+  ASSERT_EQ(message.searched_size(), 1);
+  EXPECT_EQ(message.searched(0).vehicle(), "vehicles/c");
+  EXPECT_EQ(message.searched(0).node_count(), 241);
+  EXPECT_EQ(message.searched(0).last_sequence(), 481u);
+  EXPECT_GE(message.searched(0).lag().nanos(), 0);
+  std::vector<std::pair<std::string, v1::UnsearchedReason>> unsearched;
+  for (const v1::UnsearchedVehicle& vehicle : message.unsearched()) {
+    unsearched.emplace_back(vehicle.vehicle(), vehicle.reason());
+  }
+  EXPECT_THAT(
+      unsearched,
+      ElementsAre(std::pair("vehicles/a", v1::UNSEARCHED_REASON_NODE_SPACING),
+                  std::pair("vehicles/b", v1::UNSEARCHED_REASON_MEMORY),
+                  std::pair("vehicles/e", v1::UNSEARCHED_REASON_DAMAGED)));
 }
 
 TEST(AnswerTest, CandidateSaysAllThatARelativeAlignmentKnows) {
