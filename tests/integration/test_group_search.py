@@ -13,8 +13,11 @@ from grouping import add_link, add_member, create_group, remove_member
 from own_postgres import own_postgres
 from private_cluster import find_postgres
 from revisit_server import START_SECONDS, Server, run, wait_until
+from scraped import scrape
 from stubs import api
 from wire import append, batches, boreas, decode_failure, failure_of, get
+
+pytest_plugins = ("caller_identities",)
 
 # The frames of the vehicles in that of the site: x, y, heading.
 FRAMES = {"one": (0.0, 0.0, 0.0), "two": (300.0, -80.0, 0.7),
@@ -270,17 +273,107 @@ def in_any_store(texts):
 
 
 @contextlib.contextmanager
-def shared_servers(directory):
+def shared_store():
     with own_postgres() as postgres:
         migrated = run("revisitd", "migrate", "--store",
                        postgres.url("revisit_owner"))
         assert migrated.returncode == 0, migrated.stderr
-        with contextlib.ExitStack() as servers:
-            yield [servers.enter_context(Server(
-                postgres.url("revisit"),
-                "--advertise-address", f"host-{number}:1",
-                log_path=directory / f"server-{number}.log")).stub()
-                for number in range(2)]
+        yield postgres.url("revisit")
+
+
+def sharing(url, directory, number, *flags):
+    return Server(url, "--advertise-address", f"host-{number}:1",
+                  "--lease-seconds", 1, *flags,
+                  log_path=directory / f"server-{number}.log")
+
+
+@contextlib.contextmanager
+def shared_servers(directory):
+    with shared_store() as url, contextlib.ExitStack() as servers:
+        yield [servers.enter_context(sharing(url, directory, number)).stub()
+               for number in range(2)]
+
+
+def test_answers_name_only_durable_poses_while_owners_are_killed(tmp_path, drive):
+    if find_postgres() is None:
+        pytest.skip("there is no PostgreSQL for the servers that share a store")
+    poses = moved(drive[0][0:1100], FRAMES["two"])
+    with (shared_store() as url,
+          sharing(url, tmp_path, 0, "--admin-listen", "127.0.0.1:0") as asking):
+        stub = asking.stub()
+        make_vehicle(stub, drive, "one")
+        stub.CreateVehicle(api.CreateVehicleRequest(vehicle_id="two"))
+        make_site(stub, ["one", "two"])
+        seen, durable = 0, 0
+        for _ in range(4):
+            with sharing(url, tmp_path, 1) as owner:
+                for batch in batches(poses[durable:durable + 256], 32):
+                    last = batch[-1].sequence
+                    ready(lambda batch=batch: append(owner.stub(), name_of("two"),
+                                                     batch))
+                    found = ready(lambda: search(stub, sequence=1000))
+                    assert found.searched[0].last_sequence >= seen
+                    seen = found.searched[0].last_sequence
+                    assert seen <= last
+                    for candidate in found.candidates:
+                        assert candidate.matched.sequence <= (
+                            seen if candidate.matched_vehicle else 1000)
+                owner.kill()
+            # The other server goes on with what is stored.
+            wait_until(lambda: ready(lambda: search(stub)).searched[0].last_sequence
+                       == last, "all that was acknowledged")
+            with sharing(url, tmp_path, 1) as owner:
+                durable = ready(
+                    lambda: get(owner.stub(), name_of("two"))).durable_sequence
+            assert durable == last
+        # Poses were only added, so that nothing was made twice.
+        metrics = scrape(asking)
+        assert metrics.value("revisit_followed_drives_total") == 1
+        assert metrics.value("revisit_followed_vehicles") == 1
+
+
+def test_callers_search_what_they_may_read(called_by, drive):
+    acme, few = called_by("acme"), called_by("acme-few")
+    for vehicle in ("one", "two"):
+        make_vehicle(acme, drive, vehicle, prefix="acme-1")
+    make_vehicle(acme, drive, "three", prefix="acme-")
+    group = create_group(acme, "acme-1-site").name
+    for vehicle in ("1one", "1two", "three"):
+        add_member(acme, group, name_of(f"acme-{vehicle}"),
+                   datum_of(FRAMES[vehicle.lstrip("1")]))
+
+    def found(stub):
+        answer = ready(lambda: search(stub, vehicle="acme-1one", sequence=1000,
+                                      group=group))
+        answer.ClearField("search_duration")
+        answer.ClearField("group_revision")
+        for searched in answer.searched:
+            searched.ClearField("lag")
+        return answer
+
+    everything = found(acme)
+    assert [each.vehicle for each in everything.searched] == [
+        "vehicles/acme-1two", "vehicles/acme-three"]
+    part = found(few)
+    assert [each.vehicle for each in part.searched] == ["vehicles/acme-1two"]
+    hidden = failure_of(lambda: search(few, vehicle="acme-1one", group=group,
+                                       vehicles=["vehicles/acme-three"]))
+    assert hidden.reason == "MEMBER_NOT_FOUND"
+    # Other tenants' vehicles on the same roads change nothing.
+    umbra = called_by("umbra")
+    for vehicle in FRAMES:
+        make_vehicle(umbra, drive, vehicle, prefix="umbra-")
+    make_site(umbra, prefix="umbra-")
+    ready(lambda: search(umbra, vehicle="umbra-one", group="groups/umbra-site"))
+    assert found(acme) == everything
+    for theirs in ("groups/umbra-site", "groups/umbra-gone"):
+        strange = failure_of(lambda theirs=theirs: search(
+            acme, vehicle="acme-1one", group=theirs))
+        assert strange.reason == "GROUP_NOT_FOUND"
+    # As if the member had left.
+    remove_member(acme, f"{group}/members/acme-three")
+    wait_until(lambda: len(found(acme).searched) == 1, "the member has left")
+    assert found(acme) == part
 
 
 def test_sees_what_becomes_of_members(stub, drive, site):
