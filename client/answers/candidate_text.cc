@@ -2,15 +2,19 @@
 
 #include <algorithm>
 #include <cstddef>
+#include <cstdint>
 #include <iterator>
+#include <map>
 #include <utility>
 #include <vector>
 
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
 #include "client/answers/deviation_text.h"
 #include "client/answers/exact_text.h"
 #include "client/answers/names.h"
+#include "client/revisit/printable_text.h"
 #include "client/terminal/terminal.h"
 
 namespace revisit::client {
@@ -30,6 +34,8 @@ bool TellsOfFrames(const C& c) {
   return c.frame_state() != v1::FRAME_STATE_UNSPECIFIED &&
          c.frame_state() != v1::FRAME_STATE_SAME;
 }
+
+bool IsOfAnotherVehicle(const C& c) { return !c.matched_vehicle().empty(); }
 
 // By what the search multiplied the claims.
 void PrintScale(const v1::CandidateSet& set, std::ostream& out) {
@@ -61,6 +67,64 @@ void PrintQuery(const v1::CandidateSet& set, std::ostream& out) {
     out << "new place: probability " << Fixed(set.new_place_probability(), 4)
         << '\n';
   }
+}
+
+double SecondsOf(const google::protobuf::Duration& duration) {
+  return static_cast<double>(duration.seconds()) + 1e-9 * duration.nanos();
+}
+
+void PrintSearched(const v1::CandidateSet& set, const Terminal& terminal) {
+  using Align = Table::Align;
+  Table table({{"SEARCHED", Align::kLeft},
+               {"NODES", Align::kRight},
+               {"LAST SEQUENCE", Align::kRight},
+               {"LAG s", Align::kRight}});
+  for (const v1::SearchedVehicle& one : set.searched()) {
+    table.AddRow({one.vehicle(), absl::StrCat(one.node_count()),
+                  absl::StrCat(one.last_sequence()),
+                  Fixed(SecondsOf(one.lag()), 1)});
+  }
+  table.Print(terminal.out, terminal.width);
+}
+
+// Members by why they were not searched. A line names so many at most.
+void PrintUnsearched(const v1::CandidateSet& set, std::ostream& out) {
+  constexpr std::size_t kMostNames = 10;
+  std::map<v1::UnsearchedReason, std::vector<std::string>> by_reason;
+  for (const v1::UnsearchedVehicle& one : set.unsearched()) {
+    by_reason[one.reason()].push_back(Printable(one.vehicle()));
+  }
+  for (auto& [reason, vehicles] : by_reason) {
+    const std::size_t count = vehicles.size();
+    vehicles.resize(std::min(count, kMostNames));
+    out << "not searched, since " << Explain(reason) << ": "
+        << absl::StrJoin(vehicles, ", ");
+    if (count > kMostNames) out << " and " << count - kMostNames << " more";
+    out << '\n';
+  }
+}
+
+// In which other vehicles a search in a group has looked, and in which it has
+// not.
+void PrintScope(const v1::CandidateSet& set, const Terminal& terminal) {
+  // Every group has a revision.
+  if (set.group_revision() == 0) return;
+  std::int64_t nodes = 0;
+  double lag = 0.0;
+  for (const v1::SearchedVehicle& one : set.searched()) {
+    nodes += one.node_count();
+    lag = std::max(lag, SecondsOf(one.lag()));
+  }
+  const int count = set.searched_size();
+  terminal.out << "searched " << count
+               << (count == 1 ? " other vehicle" : " other vehicles");
+  if (count > 0) {
+    terminal.out << " with " << nodes << " nodes, as they were up to "
+                 << Fixed(lag, 1) << " s ago";
+  }
+  terminal.out << "; revision " << set.group_revision() << " of the group\n";
+  if (terminal.wide() && count > 0) PrintSearched(set, terminal);
+  PrintUnsearched(set, terminal.out);
 }
 
 // Each column with its cells.
@@ -99,6 +163,12 @@ void AddPlaceColumns(const v1::CandidateSet& set, Columns* columns) {
   using Align = Table::Align;
   columns->Add("RANK", Align::kRight,
                [](const C& c) { return absl::StrCat(c.rank()); });
+  if (std::any_of(set.candidates().begin(), set.candidates().end(),
+                  IsOfAnotherVehicle)) {
+    columns->Add("VEHICLE", Align::kLeft, [](const C& c) {
+      return IsOfAnotherVehicle(c) ? c.matched_vehicle() : "itself";
+    });
+  }
   columns->Add("SEQUENCE", Align::kRight,
                [](const C& c) { return absl::StrCat(c.matched().sequence()); });
   if (std::any_of(set.candidates().begin(), set.candidates().end(),
@@ -289,6 +359,9 @@ void PrintCheck(const v1::CandidateSet& set, std::ostream& out) {
   const v1::Candidate& best = set.candidates(0);
   const DecidingGate gate = DecidingGateOf(best);
   out << PlaceText(best.matched()) << ", ";
+  if (IsOfAnotherVehicle(best)) {
+    out << "of " << Printable(best.matched_vehicle()) << ", ";
+  }
   if (TellsOfFrames(best)) {
     out << "recording " << RecordingOfMatch(best) << " ("
         << NameOf(best.frame_state()) << "), ";
@@ -310,10 +383,17 @@ void PrintCheck(const v1::CandidateSet& set, std::ostream& out) {
   out << NameOf(best.verdict()) << '\n';
 }
 
-void PrintPairs(const v1::CandidateSet& set, std::ostream& out) {
+void PrintPairs(const std::string& vehicle, const v1::CandidateSet& set,
+                std::ostream& out) {
   for (const v1::Candidate& candidate : set.candidates()) {
-    out << set.query().sequence() << '-' << candidate.matched().sequence()
-        << '\n';
+    const std::uint64_t matched = candidate.matched().sequence();
+    if (IsOfAnotherVehicle(candidate)) {
+      out << IdOf(vehicle) << '@' << set.query().sequence() << ' '
+          << Printable(IdOf(candidate.matched_vehicle())) << '@' << matched
+          << '\n';
+    } else {
+      out << set.query().sequence() << '-' << matched << '\n';
+    }
   }
 }
 
@@ -322,15 +402,15 @@ void PrintCandidates(const v1::CandidateSet& set, const Terminal& terminal) {
   PrintQuery(set, out);
   if (set.candidates().empty()) {
     out << "no candidates: " << Explain(set.empty_reason()) << '\n';
-    PrintScale(set, out);
-    return;
+  } else {
+    Columns columns(set);
+    AddPlaceColumns(set, &columns);
+    AddJudgementColumns(&columns);
+    if (terminal.wide()) AddWideColumns(&columns);
+    columns.Print(terminal);
   }
-  Columns columns(set);
-  AddPlaceColumns(set, &columns);
-  AddJudgementColumns(&columns);
-  if (terminal.wide()) AddWideColumns(&columns);
-  columns.Print(terminal);
   PrintScale(set, out);
+  PrintScope(set, terminal);
 }
 
 }  // namespace revisit::client

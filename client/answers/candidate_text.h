@@ -62,11 +62,16 @@ inline constexpr char kStaleText[] =
 void PrintCheck(const v1::CandidateSet& set, std::ostream& out);
 
 // The sequences of each candidate's query and matched node, "2068-1072", each
-// on a line: the id under which a loop closure of the two is kept.
-void PrintPairs(const v1::CandidateSet& set, std::ostream& out);
+// on a line: the id under which a loop closure of the two is kept. Of one in
+// another vehicle, the two ends "shuttle-7@2068 shuttle-8@1072". `vehicle` is
+// the name of the one that asked.
+void PrintPairs(const std::string& vehicle, const v1::CandidateSet& set,
+                std::ostream& out);
 
-// A table of all candidates below what is known of the query. Where the
-// terminal is wide, it has every number of a candidate, and both gates.
+// A table of all candidates below what is known of the query, and above the
+// other vehicles in which the search has looked or could not look. Where the
+// terminal is wide, it has every number of a candidate, and both gates, and a
+// row for each of these vehicles.
 void PrintCandidates(const v1::CandidateSet& set, const Terminal& terminal);
 
 }  // namespace revisit::client

@@ -7,6 +7,7 @@
 #include <system_error>
 
 #include "absl/strings/str_cat.h"
+#include "client/terminal/terminal.h"
 #include "google/protobuf/util/time_util.h"
 
 namespace revisit::client {
@@ -49,6 +50,12 @@ std::string StampText(const Timestamp& stamp) {
     rounded.set_seconds(std::min(stamp.seconds(), kMost - 1) + 1);
   }
   return TimeUtil::ToString(rounded);
+}
+
+std::string GeodeticText(const v1::GeodeticPosition& position) {
+  return absl::StrCat(Fixed(position.latitude_degrees(), 8), " deg, ",
+                      Fixed(position.longitude_degrees(), 8), " deg, ",
+                      Fixed(position.height_meters(), 3), " m");
 }
 
 }  // namespace revisit::client

@@ -1,10 +1,11 @@
-// Numbers and times as text.
+// Numbers, times and positions as text.
 #ifndef REVISIT_CLIENT_ANSWERS_EXACT_TEXT_H_
 #define REVISIT_CLIENT_ANSWERS_EXACT_TEXT_H_
 
 #include <string>
 
 #include "google/protobuf/timestamp.pb.h"
+#include "revisit/v1/geometry.pb.h"
 
 namespace revisit::client {
 
@@ -17,6 +18,9 @@ std::string StampSeconds(const google::protobuf::Timestamp& stamp);
 
 // RFC 3339 in UTC, rounded to the millisecond: 2020-11-26T18:58:17.528Z.
 std::string StampText(const google::protobuf::Timestamp& stamp);
+
+// "43.79000000 deg, -79.46000000 deg, 200.000 m": latitude, longitude, height.
+std::string GeodeticText(const v1::GeodeticPosition& position);
 
 }  // namespace revisit::client
 

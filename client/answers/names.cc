@@ -17,11 +17,20 @@ std::string PrefixOf(const EnumDescriptor& type) {
   return prefix + '_';
 }
 
+std::string NameWith(const std::string& prefix, const std::string& id) {
+  return id.rfind(prefix, 0) == 0 ? id : prefix + id;
+}
+
 }  // namespace
 
 std::string VehicleName(const std::string& id) {
-  constexpr char kPrefix[] = "vehicles/";
-  return id.rfind(kPrefix, 0) == 0 ? id : kPrefix + id;
+  return NameWith("vehicles/", id);
+}
+
+std::string GroupName(const std::string& id) { return NameWith("groups/", id); }
+
+std::string IdOf(const std::string& name) {
+  return name.substr(name.rfind('/') + 1);
 }
 
 std::string NameOf(const EnumDescriptor* type, int value) {
@@ -58,6 +67,27 @@ std::string Explain(v1::EmptyReason reason) {
       return "no place of the history is probable";
     case v1::EMPTY_REASON_LIMIT_EXCEEDED:
       return "the search would compare more than the server allows";
+    default:
+      return "the server gave no reason";
+  }
+}
+
+std::string Explain(v1::UnsearchedReason reason) {
+  switch (reason) {
+    case v1::UNSEARCHED_REASON_NOT_READY:
+      return "the server has not read its history yet";
+    case v1::UNSEARCHED_REASON_DAMAGED:
+      return "its history is damaged or cannot be read";
+    case v1::UNSEARCHED_REASON_STATE_SPACE:
+      return "its state space is another one";
+    case v1::UNSEARCHED_REASON_CORRELATION_MODEL:
+      return "its correlation model is another one";
+    case v1::UNSEARCHED_REASON_NODE_SPACING:
+      return "its node spacing differs by more than a factor of two";
+    case v1::UNSEARCHED_REASON_ALIGNMENT:
+      return "composite alignments are made within one vehicle";
+    case v1::UNSEARCHED_REASON_MEMORY:
+      return "the server has no memory left for it";
     default:
       return "the server gave no reason";
   }

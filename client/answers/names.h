@@ -11,8 +11,12 @@
 
 namespace revisit::client {
 
-// "vehicles/ID" for ID; a resource name stays as it is.
+// "vehicles/ID" for ID, "groups/ID" for ID; a resource name stays as it is.
 std::string VehicleName(const std::string& id);
+std::string GroupName(const std::string& id);
+
+// The ID at the end of a resource name.
+std::string IdOf(const std::string& name);
 
 // The value's name without the prefix that names its type, such as "PLANAR" for
 // STATE_SPACE_PLANAR; empty for a value that this program does not know.
@@ -27,8 +31,9 @@ std::string NameOf(Enum value) {
 std::map<std::string, int> WordsOf(
     const google::protobuf::EnumDescriptor* type);
 
-// Why there are no candidates, in words.
+// Why there are no candidates, or why a history was not searched, in words.
 std::string Explain(v1::EmptyReason reason);
+std::string Explain(v1::UnsearchedReason reason);
 
 }  // namespace revisit::client
 

@@ -25,7 +25,8 @@
 namespace revisit::client {
 
 // Empty pages that may follow each other. The service sends none before the
-// last page, but of checks, where a filter may leave out all that was read.
+// last page, but of what groups have, where the caller may not read it, and of
+// checks, where a filter may leave out all that was read.
 template <typename Item>
 inline constexpr int kMostEmptyPages = 100;
 template <>

@@ -15,9 +15,11 @@
 #include "client/cli/commands/export_command.h"
 #include "client/cli/commands/find_command.h"
 #include "client/cli/commands/findings_command.h"
+#include "client/cli/commands/group_command.h"
 #include "client/cli/commands/health_command.h"
 #include "client/cli/commands/help_command.h"
 #include "client/cli/commands/info_command.h"
+#include "client/cli/commands/link_command.h"
 #include "client/cli/commands/map_command.h"
 #include "client/cli/commands/poses_command.h"
 #include "client/cli/commands/recordings_command.h"
@@ -75,6 +77,8 @@ void AddCommands(const Command& program, const ConnectionFlags* connection,
   AddRejectionsCommand(program);
   AddDeletionsCommand(program);
   AddContradictionsCommand(program);
+  AddGroupCommand(program);
+  AddLinkCommand(program);
   AddPosesCommand(program);
   AddRecordingsCommand(program);
   AddShowCommand(program);

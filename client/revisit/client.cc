@@ -43,9 +43,9 @@ struct Client::Rep {
         RouteToOwner(status, &context);
         return attempt(&context, &repeatable);
       }();
-      if (WasElsewhere(status)) {
+      if (WasElsewhere(status) || ReadsHistories(status)) {
         // Until the deadline: after a server has died, others say so until its
-        // lease has run out.
+        // lease has run out, and the histories of a group may be long.
         --count;
         backoff.Reset();
       } else if (retry == Retry::kNever ||
@@ -184,6 +184,71 @@ absl::StatusOr<v1::ListRecordingsResponse> Client::ListRecordings(
 absl::StatusOr<v1::AcceptDataLossResponse> Client::AcceptDataLoss(
     const v1::AcceptDataLossRequest& request) const {
   return rep_->Unary(Retry::kNever, &Stub::AcceptDataLoss, request);
+}
+
+absl::StatusOr<v1::CreateGroupResponse> Client::CreateGroup(
+    const v1::CreateGroupRequest& request) const {
+  return rep_->Unary(Retry::kSafe, &Stub::CreateGroup, request);
+}
+
+absl::StatusOr<v1::GetGroupResponse> Client::GetGroup(
+    const v1::GetGroupRequest& request) const {
+  return rep_->Unary(Retry::kSafe, &Stub::GetGroup, request);
+}
+
+absl::StatusOr<v1::ListGroupsResponse> Client::ListGroups(
+    const v1::ListGroupsRequest& request) const {
+  return rep_->Unary(Retry::kSafe, &Stub::ListGroups, request);
+}
+
+absl::StatusOr<v1::UpdateGroupResponse> Client::UpdateGroup(
+    const v1::UpdateGroupRequest& request) const {
+  return rep_->Unary(Retry::kNever, &Stub::UpdateGroup, request);
+}
+
+absl::StatusOr<v1::DeleteGroupResponse> Client::DeleteGroup(
+    const v1::DeleteGroupRequest& request) const {
+  return rep_->Unary(Retry::kNever, &Stub::DeleteGroup, request);
+}
+
+absl::StatusOr<v1::AddGroupMemberResponse> Client::AddGroupMember(
+    const v1::AddGroupMemberRequest& request) const {
+  return rep_->Unary(Retry::kSafe, &Stub::AddGroupMember, request);
+}
+
+absl::StatusOr<v1::UpdateGroupMemberResponse> Client::UpdateGroupMember(
+    const v1::UpdateGroupMemberRequest& request) const {
+  return rep_->Unary(Retry::kNever, &Stub::UpdateGroupMember, request);
+}
+
+absl::StatusOr<v1::RemoveGroupMemberResponse> Client::RemoveGroupMember(
+    const v1::RemoveGroupMemberRequest& request) const {
+  return rep_->Unary(Retry::kNever, &Stub::RemoveGroupMember, request);
+}
+
+absl::StatusOr<v1::ListGroupMembersResponse> Client::ListGroupMembers(
+    const v1::ListGroupMembersRequest& request) const {
+  return rep_->Unary(Retry::kSafe, &Stub::ListGroupMembers, request);
+}
+
+absl::StatusOr<v1::AddInterVehicleLoopClosureResponse>
+Client::AddInterVehicleLoopClosure(
+    const v1::AddInterVehicleLoopClosureRequest& request) const {
+  return rep_->Unary(Retry::kSafe, &Stub::AddInterVehicleLoopClosure, request);
+}
+
+absl::StatusOr<v1::ListInterVehicleLoopClosuresResponse>
+Client::ListInterVehicleLoopClosures(
+    const v1::ListInterVehicleLoopClosuresRequest& request) const {
+  return rep_->Unary(Retry::kSafe, &Stub::ListInterVehicleLoopClosures,
+                     request);
+}
+
+absl::StatusOr<v1::DeleteInterVehicleLoopClosureResponse>
+Client::DeleteInterVehicleLoopClosure(
+    const v1::DeleteInterVehicleLoopClosureRequest& request) const {
+  return rep_->Unary(Retry::kNever, &Stub::DeleteInterVehicleLoopClosure,
+                     request);
 }
 
 absl::StatusOr<v1::GetServerInfoResponse> Client::GetServerInfo() const {

@@ -12,7 +12,9 @@
 // deadline. A call that answers NOT_OWNER or EPOCH_FENCED changed nothing,
 // since its vehicle is another server's: every call but RevisePoses is then
 // made again, as often as the deadline allows and as soon as RetryInfo says,
-// with the owner's address for a proxy that routes by it. Nothing else is.
+// with the owner's address for a proxy that routes by it. A search in a group
+// that answers GROUP_NOT_READY, while the server reads histories, is made again
+// as often as the deadline allows too. Nothing else is.
 #ifndef REVISIT_CLIENT_REVISIT_CLIENT_H_
 #define REVISIT_CLIENT_REVISIT_CLIENT_H_
 
@@ -112,6 +114,45 @@ class Client {
   // Not retried: it is an operator's decision about one moment.
   absl::StatusOr<v1::AcceptDataLossResponse> AcceptDataLoss(
       const v1::AcceptDataLossRequest& request) const;
+  // Retried: the server answers the same request again with the same group.
+  absl::StatusOr<v1::CreateGroupResponse> CreateGroup(
+      const v1::CreateGroupRequest& request) const;
+  // Retried.
+  absl::StatusOr<v1::GetGroupResponse> GetGroup(
+      const v1::GetGroupRequest& request) const;
+  // Retried.
+  absl::StatusOr<v1::ListGroupsResponse> ListGroups(
+      const v1::ListGroupsRequest& request) const;
+  // Not retried, as UpdateVehicle.
+  absl::StatusOr<v1::UpdateGroupResponse> UpdateGroup(
+      const v1::UpdateGroupRequest& request) const;
+  // Not retried, as DeleteVehicle.
+  absl::StatusOr<v1::DeleteGroupResponse> DeleteGroup(
+      const v1::DeleteGroupRequest& request) const;
+  // Retried: the same member again is the existing one.
+  absl::StatusOr<v1::AddGroupMemberResponse> AddGroupMember(
+      const v1::AddGroupMemberRequest& request) const;
+  // Not retried, as UpdateVehicle.
+  absl::StatusOr<v1::UpdateGroupMemberResponse> UpdateGroupMember(
+      const v1::UpdateGroupMemberRequest& request) const;
+  // Not retried, as DeleteVehicle.
+  absl::StatusOr<v1::RemoveGroupMemberResponse> RemoveGroupMember(
+      const v1::RemoveGroupMemberRequest& request) const;
+  // Retried.
+  absl::StatusOr<v1::ListGroupMembersResponse> ListGroupMembers(
+      const v1::ListGroupMembersRequest& request) const;
+  // Retried, as AddLoopClosure.
+  absl::StatusOr<v1::AddInterVehicleLoopClosureResponse>
+  AddInterVehicleLoopClosure(
+      const v1::AddInterVehicleLoopClosureRequest& request) const;
+  // Retried.
+  absl::StatusOr<v1::ListInterVehicleLoopClosuresResponse>
+  ListInterVehicleLoopClosures(
+      const v1::ListInterVehicleLoopClosuresRequest& request) const;
+  // Not retried, as DeleteVehicle.
+  absl::StatusOr<v1::DeleteInterVehicleLoopClosureResponse>
+  DeleteInterVehicleLoopClosure(
+      const v1::DeleteInterVehicleLoopClosureRequest& request) const;
   // Retried.
   absl::StatusOr<v1::GetServerInfoResponse> GetServerInfo() const;
 

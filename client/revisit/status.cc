@@ -88,6 +88,10 @@ bool WasElsewhere(const absl::Status& status) {
   return reason == "NOT_OWNER" || reason == "EPOCH_FENCED";
 }
 
+bool ReadsHistories(const absl::Status& status) {
+  return DetailsOf(status).reason == "GROUP_NOT_READY";
+}
+
 std::string Describe(const absl::Status& status) {
   if (status.ok()) return "OK";
   const ErrorDetails details = DetailsOf(status);

@@ -54,6 +54,10 @@ bool IsCut(const absl::Status& status);
 // call that must not be done twice may be made again.
 bool WasElsewhere(const absl::Status& status);
 
+// Whether a search in a group was not made because the server still reads
+// histories of its members (GROUP_NOT_READY): it goes on with that meanwhile.
+bool ReadsHistories(const absl::Status& status);
+
 // Describes a status to people: the message, the reason, and a line for each
 // field violation that the message does not contain. Fit for a terminal: a
 // control character or an invisible one in what the server said is shown by its

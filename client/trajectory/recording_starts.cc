@@ -51,6 +51,14 @@ std::optional<double> NumberWithUnit(const std::string& text,
   return value;
 }
 
+std::optional<RecordingChoice::Size> SizeOf(const std::string& meters,
+                                            const std::string& degrees) {
+  const auto position = NumberWithUnit(meters, "m");
+  const auto heading = NumberWithUnit(degrees, "deg");
+  if (!position || !heading) return std::nullopt;
+  return RecordingChoice::Size{*position, *heading * kRadiansPerDegree};
+}
+
 std::string Sizes(const v1::Covariance& covariance) {
   const StateMatrix matrix = StateCovariance(covariance);
   return absl::StrCat(
@@ -92,11 +100,9 @@ std::string ReadRecordingChoice(const std::string& text,
       (parts.size() > 2 && !is_datum)) {
     return allowed;
   }
-  const auto meters = NumberWithUnit(parts[0], "m");
-  const auto degrees = NumberWithUnit(parts[1], "deg");
-  if (!meters || !degrees) return allowed;
   read.kind = is_datum ? Kind::kDatum : Kind::kAfter;
-  read.size = {*meters, *degrees * kRadiansPerDegree};
+  read.size = SizeOf(parts[0], parts[1]);
+  if (!read.size) return allowed;
   if (parts.size() > 2) {
     read.datum_id = parts[2];
     if (read.datum_id.empty() || read.datum_id.size() > kMostDatumBytes) {
@@ -104,6 +110,17 @@ std::string ReadRecordingChoice(const std::string& text,
     }
   }
   *choice = std::move(read);
+  return "";
+}
+
+std::string ReadSize(const std::string& text, RecordingChoice::Size* size) {
+  const std::vector<std::string> parts = absl::StrSplit(text, ',');
+  const auto read =
+      parts.size() == 2 ? SizeOf(parts[0], parts[1]) : std::nullopt;
+  if (!read) {
+    return absl::StrCat(kSizeWords, ", with the units, such as 10m,1deg");
+  }
+  *size = *read;
   return "";
 }
 
@@ -140,19 +157,19 @@ v1::RecordingStart MakeRecordingStart(const RecordingChoice& choice,
   return start;
 }
 
+std::string DatumText(const v1::Datum& datum) {
+  std::string text = "datum";
+  if (datum.covariance().values_size() > 0) {
+    absl::StrAppend(&text, " within ", Sizes(datum.covariance()));
+  }
+  if (!datum.datum_id().empty()) absl::StrAppend(&text, ", ", datum.datum_id());
+  return text;
+}
+
 std::string RelationText(const v1::RecordingStart& start) {
   switch (start.relation_case()) {
-    case v1::RecordingStart::kDatum: {
-      const v1::Datum& datum = start.datum();
-      std::string text = "datum";
-      if (datum.covariance().values_size() > 0) {
-        absl::StrAppend(&text, " within ", Sizes(datum.covariance()));
-      }
-      if (!datum.datum_id().empty()) {
-        absl::StrAppend(&text, ", ", datum.datum_id());
-      }
-      return text;
-    }
+    case v1::RecordingStart::kDatum:
+      return DatumText(start.datum());
     case v1::RecordingStart::kUnknown:
       return "unknown";
     case v1::RecordingStart::kAfter:

@@ -59,6 +59,12 @@ inline constexpr char kRecordingWords[] =
 std::string ReadRecordingChoice(const std::string& text,
                                 RecordingChoice* choice);
 
+// The words of such a size by itself.
+inline constexpr char kSizeWords[] = "METERSm,DEGREESdeg";
+
+// Reads it. Says what is allowed in its place, or nothing if it was read.
+std::string ReadSize(const std::string& text, RecordingChoice::Size* size);
+
 // A covariance of positions and heading that err independently, for a vehicle
 // of this state space.
 v1::Covariance CovarianceOf(const RecordingChoice::Size& size,
@@ -69,8 +75,10 @@ v1::RecordingStart MakeRecordingStart(const RecordingChoice& choice,
                                       const std::string& label,
                                       v1::StateSpace state_space);
 
-// "after", "after 10 m and 17.2 degrees", "datum within 10 m and 1 degrees,
-// map-3", "unknown".
+// "datum within 10 m and 1.0 degrees, map-3".
+std::string DatumText(const v1::Datum& datum);
+
+// "after", "after, within 10 m and 17.2 degrees", DatumText(), "unknown".
 std::string RelationText(const v1::RecordingStart& start);
 
 // Why --recording is refused where it tells of frames.

@@ -214,26 +214,6 @@ std::string FakeServer::Said() const {
   return said_;
 }
 
-template <typename Page, typename Items>
-void FakeServer::EndPage(const std::string& token, Items* items, Page* page) {
-  std::lock_guard<std::mutex> lock(mutex_);
-  ++pages_;
-  switch (list_end_) {
-    case ListEnd::kEnds:
-      return;
-    case ListEnd::kRepeats:
-      page->set_next_page_token(token.empty() ? "0" : token);
-      return;
-    case ListEnd::kEmptyPages:
-      items->Clear();
-      [[fallthrough]];
-    case ListEnd::kRepeatsUnderFreshTokens:
-      // Many digits, of which the pages of poses read the first.
-      page->set_next_page_token("0." + std::to_string(pages_));
-      return;
-  }
-}
-
 void FakeServer::Describe(v1::Vehicle* vehicle) const {
   const std::string said = Said();
   if (said.empty()) return;
@@ -381,11 +361,17 @@ grpc::Status FakeServer::DeleteVehicle(grpc::ServerContext* context,
   return NextUnaryStatus();
 }
 
-grpc::Status FakeServer::FindCandidates(grpc::ServerContext*,
-                                        const v1::FindCandidatesRequest*,
-                                        v1::FindCandidatesResponse* response) {
+std::vector<v1::FindCandidatesRequest> FakeServer::Searches() const {
+  std::lock_guard<std::mutex> lock(mutex_);
+  return searches_;
+}
+
+grpc::Status FakeServer::FindCandidates(
+    grpc::ServerContext*, const v1::FindCandidatesRequest* request,
+    v1::FindCandidatesResponse* response) {
   {
     std::lock_guard<std::mutex> lock(mutex_);
+    searches_.push_back(*request);
     *response->mutable_candidates() = candidates_;
   }
   return NextUnaryStatus();

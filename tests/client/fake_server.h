@@ -10,6 +10,7 @@
 #include <cstdint>
 #include <deque>
 #include <functional>
+#include <map>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -151,6 +152,9 @@ class FakeServer final : public v1::PoseGraphService::Service {
   std::vector<std::string> Decisions() const;
   // All requests to add a loop closure, in order.
   std::vector<v1::AddLoopClosureRequest> AddedClosures() const;
+  // What each search was asked, in order.
+  std::vector<v1::FindCandidatesRequest> Searches() const;
+  v1::UpdateGroupRequest last_group_update() const;
   // Names that deletions asked for, in order.
   std::vector<std::string> Deleted() const;
   int largest_batch() const;
@@ -213,6 +217,39 @@ class FakeServer final : public v1::PoseGraphService::Service {
   grpc::Status ListRecordings(grpc::ServerContext*,
                               const v1::ListRecordingsRequest*,
                               v1::ListRecordingsResponse*) override;
+  // Groups, in fake_groups.cc. They are kept as they were sent, and each change
+  // raises the revision of its group. Lists have two on a page.
+  grpc::Status CreateGroup(grpc::ServerContext*, const v1::CreateGroupRequest*,
+                           v1::CreateGroupResponse*) override;
+  grpc::Status GetGroup(grpc::ServerContext*, const v1::GetGroupRequest*,
+                        v1::GetGroupResponse*) override;
+  grpc::Status ListGroups(grpc::ServerContext*, const v1::ListGroupsRequest*,
+                          v1::ListGroupsResponse*) override;
+  grpc::Status UpdateGroup(grpc::ServerContext*, const v1::UpdateGroupRequest*,
+                           v1::UpdateGroupResponse*) override;
+  grpc::Status DeleteGroup(grpc::ServerContext*, const v1::DeleteGroupRequest*,
+                           v1::DeleteGroupResponse*) override;
+  grpc::Status AddGroupMember(grpc::ServerContext*,
+                              const v1::AddGroupMemberRequest*,
+                              v1::AddGroupMemberResponse*) override;
+  grpc::Status UpdateGroupMember(grpc::ServerContext*,
+                                 const v1::UpdateGroupMemberRequest*,
+                                 v1::UpdateGroupMemberResponse*) override;
+  grpc::Status RemoveGroupMember(grpc::ServerContext*,
+                                 const v1::RemoveGroupMemberRequest*,
+                                 v1::RemoveGroupMemberResponse*) override;
+  grpc::Status ListGroupMembers(grpc::ServerContext*,
+                                const v1::ListGroupMembersRequest*,
+                                v1::ListGroupMembersResponse*) override;
+  grpc::Status AddInterVehicleLoopClosure(
+      grpc::ServerContext*, const v1::AddInterVehicleLoopClosureRequest*,
+      v1::AddInterVehicleLoopClosureResponse*) override;
+  grpc::Status ListInterVehicleLoopClosures(
+      grpc::ServerContext*, const v1::ListInterVehicleLoopClosuresRequest*,
+      v1::ListInterVehicleLoopClosuresResponse*) override;
+  grpc::Status DeleteInterVehicleLoopClosure(
+      grpc::ServerContext*, const v1::DeleteInterVehicleLoopClosureRequest*,
+      v1::DeleteInterVehicleLoopClosureResponse*) override;
   grpc::Status GetServerInfo(grpc::ServerContext*,
                              const v1::GetServerInfoRequest*,
                              v1::GetServerInfoResponse*) override;
@@ -240,6 +277,14 @@ class FakeServer final : public v1::PoseGraphService::Service {
   template <typename Pair>
   void NoteDecision(const std::string& decision, const std::string& candidate,
                     const Pair& pair, const std::string& made);
+  struct Group {
+    v1::Group group;
+    std::map<std::string, v1::GroupMember> members;
+    std::map<std::string, v1::InterVehicleLoopClosure> links;
+  };
+  // Null if there is none of this name, or of what is in it. Mutex must be
+  // held.
+  Group* GroupOf(const std::string& name);
   // Stores what is new of a batch. Mutex must be held.
   grpc::Status Store(const v1::PoseBatch& batch);
 
@@ -279,7 +324,30 @@ class FakeServer final : public v1::PoseGraphService::Service {
   std::vector<std::string> routes_;
   std::vector<std::string> deleted_;
   int largest_batch_ = 0;
+  std::map<std::string, Group> groups_;
+  std::vector<v1::FindCandidatesRequest> searches_;
+  v1::UpdateGroupRequest last_group_update_;
 };
+
+template <typename Page, typename Items>
+void FakeServer::EndPage(const std::string& token, Items* items, Page* page) {
+  std::lock_guard<std::mutex> lock(mutex_);
+  ++pages_;
+  switch (list_end_) {
+    case ListEnd::kEnds:
+      return;
+    case ListEnd::kRepeats:
+      page->set_next_page_token(token.empty() ? "0" : token);
+      return;
+    case ListEnd::kEmptyPages:
+      items->Clear();
+      [[fallthrough]];
+    case ListEnd::kRepeatsUnderFreshTokens:
+      // Many digits, of which the pages of poses read the first.
+      page->set_next_page_token("0." + std::to_string(pages_));
+      return;
+  }
+}
 
 }  // namespace revisit::client
 

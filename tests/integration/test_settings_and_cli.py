@@ -620,12 +620,22 @@ def test_lines_to_try_confirm_and_reject_what_they_found(tried_results):
     assert verdicts[rejected].startswith("REJECTED_")
 
 
-# Those that need no file, and leave the vehicle there.
+@pytest.fixture(scope="module")
+def grouped(tried_results, run_line):
+    """Another vehicle, and the group of both that examples name."""
+    for line in ("revisit vehicle create shuttle-8", "revisit group create depot",
+                 "revisit group add depot shuttle-7",
+                 "revisit group add depot shuttle-8"):
+        assert run_line(line).returncode == 0, line
+
+
+# Those that need no file, and leave the vehicle and the group there.
 @pytest.mark.parametrize("command", [
     "vehicle get", "vehicle list", "vehicle update", "find", "confirm",
-    "reject", "show", "export"])
+    "reject", "show", "export", "group get", "group list", "group update",
+    "group members", "group set-datum", "link list"])
 def test_examples_of_the_help_work_after_them(
-        command, tried_results, run_line):
+        command, tried_results, grouped, run_line):
     shown = run("revisit", *command.split(), "--help").stdout
     # A long line goes on behind a backslash.
     shown = shown.replace("\\\n", "")

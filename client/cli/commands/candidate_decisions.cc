@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "client/answers/names.h"
 #include "client/revisit/status.h"
 #include "client/trajectory/stored_poses.h"
 
@@ -16,10 +17,6 @@ namespace {
 std::string VehicleOf(const std::string& name) {
   const std::size_t id = name.find('/');
   return id == name.npos ? name : name.substr(0, name.find('/', id + 1));
-}
-
-std::string IdOf(const std::string& name) {
-  return name.substr(name.rfind('/') + 1);
 }
 
 // The loop closure that confirmed a contradicted candidate. None of another

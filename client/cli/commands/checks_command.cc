@@ -39,11 +39,6 @@ constexpr v1::CandidateState kStates[] = {
     v1::CANDIDATE_STATE_OPEN, v1::CANDIDATE_STATE_CONFIRMED,
     v1::CANDIDATE_STATE_REJECTED, v1::CANDIDATE_STATE_WITHDRAWN};
 
-// Returns the part of a name after its last slash.
-std::string LastPart(const std::string& name) {
-  return name.substr(name.rfind('/') + 1);
-}
-
 bool OrdersByValue(const ChecksOptions& options) {
   return options.order == v1::LIST_CHECKS_ORDER_BY_VALUE;
 }
@@ -152,7 +147,7 @@ std::vector<std::string> ChecksRow(const v1::Check& check,
   if (columns.vehicle) {
     row.push_back(check.name().substr(0, check.name().rfind("/checks/")));
   }
-  row.push_back(LastPart(check.name()));
+  row.push_back(IdOf(check.name()));
   for (const v1::CandidateState state : kStates) {
     row.push_back(CountOf(check, [state](const v1::CheckCandidate& candidate) {
       return candidate.state() == state;
@@ -207,7 +202,7 @@ void PrintStates(const v1::Check& check, const Terminal& terminal) {
     return rank == 0 ? "-" : absl::StrCat(rank);
   };
   for (const v1::CheckCandidate& candidate : check.states()) {
-    std::vector<std::string> row = {LastPart(candidate.name()),
+    std::vector<std::string> row = {IdOf(candidate.name()),
                                     rank_or_dash(candidate.rank())};
     if (check.has_latest()) {
       row.push_back(rank_or_dash(candidate.latest_rank()));

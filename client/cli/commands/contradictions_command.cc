@@ -51,7 +51,7 @@ absl::Status Print(const Client& client, const std::string& vehicle,
                {"NOTE", Align::kLeft}});
   for (const v1::Contradiction& contradiction : found.contradictions()) {
     const std::string& name = contradiction.loop_closure();
-    std::vector<std::string> row = {name.substr(name.rfind('/') + 1),
+    std::vector<std::string> row = {IdOf(name),
                                     absl::StrCat(contradiction.p_value())};
     const auto closure = closures.find(name);
     for (std::string& cell :

@@ -2,24 +2,71 @@
 
 #include <cstdint>
 #include <memory>
+#include <string>
 
+#include "absl/strings/str_split.h"
 #include "client/answers/candidate_text.h"
 #include "client/answers/names.h"
 #include "client/cli/commands/shared_flags.h"
 #include "client/cli/commands/vehicle_settings.h"
+#include "client/revisit/status.h"
 
 namespace revisit::client {
+
+namespace {
+
+// Where else than in the vehicle's own history the search looks.
+void AddScope(const Command& command, v1::CandidateOptions* options) {
+  const Command scope = command.Under("Histories of other vehicles");
+  const Flag group = scope.AddText(
+      "--group", "GROUP",
+      [options](const std::string& id) -> std::string {
+        if (id.empty()) return "an id, or a name such as groups/ID";
+        options->mutable_scope()->set_group(GroupName(id));
+        return "";
+      },
+      "Look in the histories of this group's vehicles too");
+  const Flag in = scope.AddText(
+      "--in", "VEHICLE,...",
+      [options](const std::string& ids) -> std::string {
+        for (const auto& id : absl::StrSplit(ids, ',')) {
+          if (id.empty()) return "ids of members, separated by commas";
+          options->mutable_scope()->add_vehicles(VehicleName(std::string(id)));
+        }
+        return "";
+      },
+      "Of these vehicles, only in those that are named here");
+  const Flag exclude_own = scope.AddSwitch(
+      "--exclude-own",
+      [options](bool exclude) {
+        options->mutable_scope()->set_exclude_own(exclude);
+      },
+      "Not in the vehicle's own history");
+  const Flag partial = scope.AddSwitch(
+      "--partial",
+      [options](bool allow) {
+        options->mutable_scope()->set_allow_partial(allow);
+      },
+      "Do not wait until the server has read all histories: answer with those "
+      "that it has, and name the others");
+  for (const Flag& flag : {in, exclude_own, partial}) flag.Needs(group);
+}
+
+}  // namespace
 
 void AddFindCommand(const Command& program) {
   const Command command = program.AddCommand(
       {"find", "Asks for loop-closure candidates at one pose.",
        "-o wide has every number of a candidate. -o name has a pair of "
-       "sequences for each, asked-matched, as closures are named.",
+       "sequences for each, asked-matched, as closures are named; and for one "
+       "of another vehicle the two words that revisit link add takes.",
        "  revisit find shuttle-7\n"
        "  revisit find shuttle-7 --sequence 2000 --max-candidates 10 --json\n"
        "  revisit find shuttle-7 --direction either "
        "--acceptance-probability 0.9\n"
-       "  revisit find shuttle-7 -o wide"});
+       "  revisit find shuttle-7 -o wide\n"
+       "  revisit find shuttle-8 --group depot\n"
+       "  revisit find shuttle-8 --group depot --in shuttle-7 --exclude-own"});
   const auto request = std::make_shared<v1::FindCandidatesRequest>();
   v1::CandidateOptions* const options = request->mutable_options();
   AddVehicleName(command, request->mutable_vehicle());
@@ -39,6 +86,7 @@ void AddFindCommand(const Command& program) {
       [options](bool exhaustive) { options->set_exhaustive(exhaustive); },
       "Look at all of history, and answer also what is too improbable to be "
       "accepted");
+  AddScope(command, options);
   AddDirection(command, options);
   AddSearchSettings(command, options);
   command.AlsoPrints({OutputFormat::kWide, OutputFormat::kName});
@@ -51,6 +99,11 @@ absl::Status RunFind(const Client& client, v1::FindCandidatesRequest request,
                      const Terminal& terminal) {
   request.set_vehicle(VehicleName(request.vehicle()));
   const auto response = client.FindCandidates(request);
+  if (ReadsHistories(response.status())) {
+    return WithHint(response.status(),
+                    "the server goes on reading: ask again, or take what it "
+                    "has by now with --partial");
+  }
   if (!response.ok()) return response.status();
   const v1::CandidateSet& set = response->candidates();
   if (terminal.json()) {
@@ -58,7 +111,7 @@ absl::Status RunFind(const Client& client, v1::FindCandidatesRequest request,
     return absl::OkStatus();
   }
   if (terminal.names()) {
-    PrintPairs(set, terminal.out);
+    PrintPairs(request.vehicle(), set, terminal.out);
     return absl::OkStatus();
   }
   PrintCandidates(set, terminal);

@@ -13,9 +13,9 @@
 #include "client/answers/exact_text.h"
 #include "client/answers/names.h"
 #include "client/answers/pages.h"
+#include "client/cli/commands/printed_change.h"
 #include "client/revisit/printable_text.h"
 #include "google/protobuf/util/time_util.h"
-#include "nlohmann/json.hpp"
 
 namespace revisit::client {
 namespace {
@@ -138,8 +138,7 @@ void PrintTable(const typename Kind::List& all, const Terminal& terminal) {
   Table table(std::move(columns));
   for (const auto& item : Kind::Items(all)) {
     std::vector<std::string> row = {
-        item.name().substr(item.name().rfind('/') + 1),
-        absl::StrCat(item.query_sequence()),
+        IdOf(item.name()), absl::StrCat(item.query_sequence()),
         absl::StrCat(item.matched_sequence()),
         google::protobuf::util::TimeUtil::ToString(item.create_time())};
     if (terminal.wide()) {
@@ -162,9 +161,7 @@ absl::Status RunList(const Client& client, const std::string& vehicle,
     return absl::OkStatus();
   }
   if (terminal.names()) {
-    for (const auto& item : Kind::Items(*all)) {
-      terminal.out << Printable(item.name()) << '\n';
-    }
+    PrintNames(Kind::Items(*all), terminal);
     return absl::OkStatus();
   }
   PrintTable<Kind>(*all, terminal);
@@ -240,17 +237,7 @@ absl::Status RunDelete(const Client& client, const FindingReference& finding,
   }
   const auto response = Kind::Delete(client, request);
   if (!response.ok()) return response.status();
-  if (terminal.json()) {
-    nlohmann::ordered_json json;
-    json["name"] = request.name();
-    json["revision"] = response->revision();
-    terminal.out << JsonText(json, true) << '\n';
-  } else if (terminal.names()) {
-    terminal.out << Printable(request.name()) << '\n';
-  } else {
-    terminal.out << "deleted " << Printable(request.name()) << ", revision "
-                 << response->revision() << '\n';
-  }
+  PrintRemoval("deleted", request.name(), *response, terminal);
   return absl::OkStatus();
 }
 

@@ -16,6 +16,17 @@ void AddVehicleName(const Command& command, std::string* vehicle) {
       .Required();
 }
 
+void AddGroupName(const Command& command, std::string* group) {
+  command.AddText("GROUP", "ID", group, "Id, or name such as groups/ID")
+      .Required();
+}
+
+void AddExpectedRevision(const Command& command, std::uint64_t* revision) {
+  command.AddWholeNumber(
+      "--expected-revision", kSequences, revision,
+      "Change nothing if the group has another revision by now");
+}
+
 void AddPoseView(const Command& command, v1::PoseView* view) {
   const Words views = {{"current", v1::POSE_VIEW_CURRENT},
                        {"as-sent", v1::POSE_VIEW_AS_SENT}};

@@ -2,6 +2,7 @@
 #ifndef REVISIT_CLIENT_CLI_COMMANDS_SHARED_FLAGS_H_
 #define REVISIT_CLIENT_CLI_COMMANDS_SHARED_FLAGS_H_
 
+#include <cstdint>
 #include <string>
 
 #include "client/cli/flags.h"
@@ -14,6 +15,12 @@ namespace revisit::client {
 
 // The vehicle of a command: a bare word in its place, or --vehicle.
 void AddVehicleName(const Command& command, std::string* vehicle);
+
+// The group of a command: a bare word in its place.
+void AddGroupName(const Command& command, std::string* group);
+
+// The revision that the group of a change is expected to have.
+void AddExpectedRevision(const Command& command, std::uint64_t* revision);
 
 // Which estimate of a vehicle's poses is meant.
 void AddPoseView(const Command& command, v1::PoseView* view);

@@ -1,21 +1,18 @@
 #include "client/cli/commands/vehicle_command.h"
 
-#include <unistd.h>
-
-#include <iostream>
 #include <map>
 #include <memory>
 #include <vector>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "client/answers/exact_text.h"
 #include "client/answers/names.h"
 #include "client/answers/pages.h"
 #include "client/cli/commands/vehicle_settings.h"
 #include "client/revisit/printable_text.h"
 #include "google/protobuf/descriptor.h"
 #include "google/protobuf/util/time_util.h"
-#include "nlohmann/json.hpp"
 
 namespace revisit::client {
 namespace {
@@ -169,63 +166,25 @@ void AddAcceptLoss(const Command& vehicle) {
       });
 }
 
-// OK if the id of the vehicle is the answer.
-absl::Status MakeSure(const Client& client, const std::string& name,
-                      const Ask& ask) {
-  v1::GetVehicleRequest get;
-  get.set_name(name);
-  const auto found = client.GetVehicle(get);
-  if (absl::IsNotFound(found.status())) return found.status();
-  // Whoever may delete a vehicle may not be allowed to read it.
-  const std::string content =
-      found.ok()
-          ? absl::StrCat(" with its ", found->vehicle().durable_sequence(),
-                         " poses and ", found->vehicle().loop_closure_count(),
-                         " loop closures")
-          : "";
-  const std::string id = name.substr(name.find('/') + 1);
-  const auto answer =
-      ask(absl::StrCat("Deletes ", name, content,
-                       ", which cannot be undone. Type ", id, " to go on: "));
-  if (answer == id) return absl::OkStatus();
-  return LocalError(absl::CancelledError(
-      absl::StrCat(name, " is not deleted: got \"", answer.value_or(""),
-                   "\" instead of its id")));
+absl::StatusOr<std::string> ContentOfVehicle(const Client& client,
+                                             const std::string& name) {
+  v1::GetVehicleRequest request;
+  request.set_name(name);
+  const auto found = client.GetVehicle(request);
+  if (!found.ok()) return found.status();
+  const v1::Vehicle& vehicle = found->vehicle();
+  return absl::StrCat(" with its ", vehicle.durable_sequence(), " poses and ",
+                      vehicle.loop_closure_count(), " loop closures");
 }
 
-// Asks whoever sits at the terminal.
-std::optional<std::string> AskAtTerminal(const std::string& question) {
-  std::cerr << question << std::flush;
-  std::string line;
-  if (!std::getline(std::cin, line)) return std::nullopt;
-  return line;
+absl::Status RemoveVehicle(const Client& client, const std::string& name) {
+  v1::DeleteVehicleRequest request;
+  request.set_name(name);
+  return client.DeleteVehicle(request).status();
 }
 
-void AddDelete(const Command& vehicle) {
-  const Command command = vehicle.AddCommand(
-      {"delete", "Deletes vehicles with all their poses. Cannot be undone.",
-       "At a terminal, the id of each vehicle has to be typed again; "
-       "elsewhere, "
-       "--yes is required.",
-       "  revisit vehicle delete shuttle-7 shuttle-8 --yes"});
-  const auto ids = std::make_shared<std::vector<std::string>>();
-  const auto yes = std::make_shared<bool>(false);
-  command.AddTexts("ID", "TEXT", ids.get(), "").Required();
-  command.AddSwitch("--yes", yes.get(), "Delete without a question");
-  const Check check = [yes]() -> std::string {
-    return *yes || (isatty(STDIN_FILENO) == 1 && isatty(STDERR_FILENO) == 1)
-               ? ""
-               : "--yes is required where nobody can be asked: a deletion "
-                 "cannot be undone";
-  };
-  const Run run = [ids, yes](const Connection& server,
-                             const Terminal& terminal) {
-    return RunVehicleDelete(server.client, *ids, *yes ? Ask() : &AskAtTerminal,
-                            terminal);
-  };
-  command.AlsoPrints({OutputFormat::kName});
-  command.Runs(run, check);
-}
+constexpr DeletedKind kVehicles = {&VehicleName, &ContentOfVehicle,
+                                   &RemoveVehicle};
 
 // A map of protobuf has no order of its own.
 std::map<std::string, std::string> SortedLabels(const v1::Vehicle& vehicle) {
@@ -310,7 +269,13 @@ void AddVehicleCommand(const Command& program) {
   AddList(vehicle);
   AddUpdate(vehicle);
   AddAcceptLoss(vehicle);
-  AddDelete(vehicle);
+  AddDeletion(
+      vehicle,
+      {"delete", "Deletes vehicles with all their poses. Cannot be undone.",
+       "At a terminal, the id of each vehicle has to be typed again; "
+       "elsewhere, --yes is required.",
+       "  revisit vehicle delete shuttle-7 shuttle-8 --yes"},
+      kVehicles);
 }
 
 void PrintVehicle(const v1::Vehicle& vehicle, const Terminal& terminal) {
@@ -351,12 +316,8 @@ void PrintVehicle(const v1::Vehicle& vehicle, const Terminal& terminal) {
     fields.emplace_back("finding", finding.message());
   }
   if (settings.has_geodetic_origin()) {
-    const v1::GeodeticPosition& origin = settings.geodetic_origin();
-    fields.emplace_back(
-        "geodetic origin",
-        absl::StrCat(Fixed(origin.latitude_degrees(), 8), " deg, ",
-                     Fixed(origin.longitude_degrees(), 8), " deg, ",
-                     Fixed(origin.height_meters(), 3), " m"));
+    fields.emplace_back("geodetic origin",
+                        GeodeticText(settings.geodetic_origin()));
   }
   PrintFields(fields, terminal.out);
 }
@@ -445,27 +406,7 @@ absl::Status RunVehicleList(const Client& client, const Terminal& terminal) {
 absl::Status RunVehicleDelete(const Client& client,
                               const std::vector<std::string>& ids,
                               const Ask& ask, const Terminal& terminal) {
-  nlohmann::ordered_json deleted = nlohmann::ordered_json::array();
-  for (const std::string& id : ids) {
-    const std::string name = VehicleName(id);
-    if (ask != nullptr) {
-      if (absl::Status sure = MakeSure(client, name, ask); !sure.ok()) {
-        return sure;
-      }
-    }
-    v1::DeleteVehicleRequest request;
-    request.set_name(name);
-    const auto response = client.DeleteVehicle(request);
-    if (!response.ok()) return response.status();
-    deleted.push_back(name);
-    if (terminal.json()) continue;
-    terminal.out << (terminal.names() ? "" : "deleted ") << Printable(name)
-                 << '\n';
-  }
-  if (terminal.json()) {
-    terminal.out << JsonText({{"deleted", deleted}}, true) << '\n';
-  }
-  return absl::OkStatus();
+  return RunDeletion(client, kVehicles, ids, ask, terminal);
 }
 
 }  // namespace revisit::client

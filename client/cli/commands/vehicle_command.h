@@ -3,12 +3,11 @@
 #define REVISIT_CLIENT_CLI_COMMANDS_VEHICLE_COMMAND_H_
 
 #include <cstdint>
-#include <functional>
-#include <optional>
 #include <string>
 #include <vector>
 
 #include "absl/status/status.h"
+#include "client/cli/commands/deletion.h"
 #include "client/cli/commands/vehicle_description.h"
 #include "client/cli/flags.h"
 #include "client/revisit/client.h"
@@ -39,13 +38,7 @@ absl::Status RunVehicleUpdate(const Client& client, const std::string& id,
 absl::Status RunVehicleAcceptLoss(const Client& client, const std::string& id,
                                   std::uint64_t durable_sequence,
                                   const Terminal& terminal);
-// Answers a question: the line that was typed, or nothing at the end of input.
-using Ask =
-    std::function<std::optional<std::string>(const std::string& question)>;
-
-// Deletes each vehicle whose id is typed as the answer of `ask`; without `ask`,
-// all of them. Stops at the first one that cannot be deleted or whose id was
-// not typed. As JSON: {"deleted": ["vehicles/..."]}.
+// Deletes vehicles, as RunDeletion() does.
 absl::Status RunVehicleDelete(const Client& client,
                               const std::vector<std::string>& ids,
                               const Ask& ask, const Terminal& terminal);

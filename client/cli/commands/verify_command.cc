@@ -4,7 +4,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "client/answers/names.h"
-#include "client/revisit/printable_text.h"
+#include "client/cli/commands/printed_change.h"
 #include "client/revisit/status.h"
 
 namespace revisit::client {
@@ -16,24 +16,6 @@ void Fill(const VerifiedPair& pair, Message* message) {
   message->set_matched_sequence(pair.matched_sequence);
 }
 
-void Fill(const VerifiedMeasurement& measured, v1::LoopClosure* closure) {
-  closure->set_note(measured.note);
-  if (measured.score) closure->set_score(*measured.score);
-  if (measured.relative.empty()) return;
-  v1::LoopClosureMeasurement* const m = closure->mutable_measurement();
-  m->set_x_meters(measured.relative[0]);
-  m->set_y_meters(measured.relative[1]);
-  if (measured.relative.size() == 4) m->set_z_meters(measured.relative[2]);
-  m->set_heading_radians(measured.relative.back());
-  v1::Covariance* const covariance = m->mutable_covariance();
-  const std::size_t count = measured.covariance.size();
-  covariance->set_form(count == 6    ? v1::COVARIANCE_FORM_PLANAR_6
-                       : count == 10 ? v1::COVARIANCE_FORM_SPATIAL_10
-                                     : v1::COVARIANCE_FORM_ROS_36);
-  covariance->mutable_values()->Assign(measured.covariance.begin(),
-                                       measured.covariance.end());
-}
-
 // Adds to a conflict how to undo the finding that is there, which this command
 // lists.
 absl::Status WithUndo(const absl::Status& status, const VerifiedPair& pair,
@@ -43,19 +25,6 @@ absl::Status WithUndo(const absl::Status& status, const VerifiedPair& pair,
                   absl::StrCat("undo that first: revisit ", command, " delete ",
                                pair.vehicle, " ", pair.query_sequence, " ",
                                pair.matched_sequence));
-}
-
-template <typename Response>
-void Print(const char* done, const std::string& name, const Response& response,
-           const Terminal& terminal) {
-  if (terminal.json()) {
-    terminal.out << ToJson(response, true) << '\n';
-  } else if (terminal.names()) {
-    terminal.out << Printable(name) << '\n';
-  } else {
-    terminal.out << done << " " << Printable(name) << ", revision "
-                 << response.revision() << '\n';
-  }
 }
 
 void AddPair(const Command& command, VerifiedPair* pair) {
@@ -89,23 +58,8 @@ void AddConfirmCommand(const Command& program) {
   const auto pair = std::make_shared<VerifiedPair>();
   const auto measured = std::make_shared<VerifiedMeasurement>();
   AddPair(command, pair.get());
-  const Flag relative = command.AddNumbers(
-      "--relative", "X,Y[,Z],HEADING", &measured->relative,
-      "The later pose as seen from the earlier one: metres ahead, to the left "
-      "(and up), and radians counter-clockwise");
-  const Flag covariance = command.AddNumbers(
-      "--covariance", "NUMBERS", &measured->covariance,
-      "Covariance of its errors, in the same axes: the upper triangle by rows "
-      "over x, y, "
-      "heading (6) or x, y, z, heading (10), or the 36 of ROS");
-  relative.Needs(covariance);
-  covariance.Needs(relative);
-  command.AddText("--note", "TEXT", &measured->note,
-                  "For people: what found it, for example");
-  command.AddNumber(
-      "--score", "NUMBER",
-      [measured](double score) { measured->score = score; },
-      "How sure the verifier is, on a scale of its own");
+  AddMeasurement(command, "The later pose as seen from the earlier one",
+                 measured.get());
   const Check check = [measured] { return CheckMeasurement(*measured); };
   command.AlsoPrints({OutputFormat::kName});
   command.Runs(
@@ -134,23 +88,6 @@ void AddRejectCommand(const Command& program) {
       });
 }
 
-std::string CheckMeasurement(const VerifiedMeasurement& measurement) {
-  const std::size_t numbers = measurement.relative.size();
-  const std::size_t variances = measurement.covariance.size();
-  if (numbers == 0 && variances == 0) return "";
-  if (numbers != 3 && numbers != 4) {
-    return absl::StrCat(
-        "--relative: expected X,Y,HEADING or X,Y,Z,HEADING, "
-        "got ",
-        numbers, " numbers");
-  }
-  if (variances != 6 && variances != 10 && variances != 36) {
-    return absl::StrCat("--covariance: expected 6, 10 or 36 numbers, got ",
-                        variances);
-  }
-  return "";
-}
-
 absl::Status RunConfirm(const Client& client, const VerifiedPair& pair,
                         const VerifiedMeasurement& measurement,
                         const Terminal& terminal) {
@@ -161,7 +98,8 @@ absl::Status RunConfirm(const Client& client, const VerifiedPair& pair,
   Fill(measurement, request.mutable_loop_closure());
   const auto response = client.AddLoopClosure(request);
   if (!response.ok()) return WithUndo(response.status(), pair, "rejections");
-  Print("confirmed", response->loop_closure().name(), *response, terminal);
+  PrintChange("confirmed", response->loop_closure().name(), *response,
+              terminal);
   if (response->has_agreement() && terminal.format == OutputFormat::kText) {
     const v1::MeasurementAgreement& agreement = response->agreement();
     terminal.out << "agreement with the graph: d2 "
@@ -182,7 +120,8 @@ absl::Status RunReject(const Client& client, const VerifiedPair& pair,
   request.mutable_rejected_candidate()->set_note(note);
   const auto response = client.RejectCandidate(request);
   if (!response.ok()) return WithUndo(response.status(), pair, "closures");
-  Print("rejected", response->rejected_candidate().name(), *response, terminal);
+  PrintChange("rejected", response->rejected_candidate().name(), *response,
+              terminal);
   return absl::OkStatus();
 }
 

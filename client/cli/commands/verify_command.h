@@ -3,11 +3,10 @@
 #define REVISIT_CLIENT_CLI_COMMANDS_VERIFY_COMMAND_H_
 
 #include <cstdint>
-#include <optional>
 #include <string>
-#include <vector>
 
 #include "absl/status/status.h"
+#include "client/cli/commands/verified_measurement.h"
 #include "client/cli/flags.h"
 #include "client/revisit/client.h"
 #include "client/terminal/terminal.h"
@@ -26,20 +25,6 @@ struct VerifiedPair {
   // Name of the stored candidate that this answers; empty if there is none.
   std::string candidate = "";
 };
-
-// The verifier's measurement; empty where it measured nothing.
-struct VerifiedMeasurement {
-  // The query pose as seen from the matched one: x, y, heading, or x, y, z,
-  // heading, as in v1::LoopClosureMeasurement.
-  std::vector<double> relative;
-  // 6, 10 or 36 numbers, as the forms of v1::Covariance have.
-  std::vector<double> covariance;
-  std::string note;
-  std::optional<double> score;
-};
-
-// Says what is wrong with the measurement's numbers; empty if nothing is.
-std::string CheckMeasurement(const VerifiedMeasurement& measurement);
 
 // Adds a loop closure, since the two poses are one place. Prints its name and
 // the revision, and how well a measurement agrees with the graph; as JSON, the

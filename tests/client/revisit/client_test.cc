@@ -1,5 +1,6 @@
 #include "client/revisit/client.h"
 
+#include <functional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -165,6 +166,65 @@ TEST_F(ClientTest, RepeatsADeletionOfAVehicleThatIsElsewhere) {
   server_.FailUnaryCalls({NotOwner(), StoreUnavailable()});
   EXPECT_EQ(client_.DeleteVehicle({}).status().code(),
             absl::StatusCode::kUnavailable);
+}
+
+TEST_F(ClientTest, WaitsForTheHistoriesOfAGroupUntilTheDeadline) {
+  const grpc::Status not_ready = MakeStatus(
+      grpc::StatusCode::UNAVAILABLE, "reads histories", {"GROUP_NOT_READY"});
+  server_.FailUnaryCalls(std::vector<grpc::Status>(20, not_ready));
+  EXPECT_TRUE(client_.FindCandidates({}).ok());
+  EXPECT_EQ(server_.unary_calls(), 21);
+}
+
+TEST_F(ClientTest, RepeatsOfTheCallsAboutGroupsThoseThatAnswerTheSameAgain) {
+  v1::CreateGroupRequest create;
+  create.set_group_id("depot");
+  v1::GetGroupRequest get;
+  get.set_name("groups/depot");
+  v1::AddGroupMemberRequest member;
+  member.set_parent("groups/depot");
+  v1::ListGroupMembersRequest members;
+  members.set_parent("groups/depot");
+  v1::AddInterVehicleLoopClosureRequest link;
+  link.set_parent("groups/depot");
+  v1::ListInterVehicleLoopClosuresRequest links;
+  links.set_parent("groups/depot");
+  const std::vector<std::function<absl::Status()>> repeated = {
+      [&] { return client_.CreateGroup(create).status(); },
+      [&] { return client_.GetGroup(get).status(); },
+      [&] { return client_.ListGroups({}).status(); },
+      [&] { return client_.AddGroupMember(member).status(); },
+      [&] { return client_.ListGroupMembers(members).status(); },
+      [&] { return client_.AddInterVehicleLoopClosure(link).status(); },
+      [&] { return client_.ListInterVehicleLoopClosures(links).status(); }};
+  for (std::size_t i = 0; i < repeated.size(); ++i) {
+    server_.FailUnaryCalls({StoreUnavailable()});
+    EXPECT_EQ(repeated[i](), absl::OkStatus()) << i;
+  }
+}
+
+TEST_F(ClientTest, NeverRepeatsWhatMayUndoAChangeOfAGroupByOthers) {
+  v1::CreateGroupRequest create;
+  create.set_group_id("depot");
+  ASSERT_TRUE(client_.CreateGroup(create).ok());
+  v1::UpdateGroupRequest update;
+  update.mutable_group()->set_name("groups/depot");
+  v1::UpdateGroupMemberRequest datum;
+  datum.mutable_member()->set_name("groups/depot/members/a");
+  v1::RemoveGroupMemberRequest member;
+  member.set_name("groups/depot/members/a");
+  v1::DeleteInterVehicleLoopClosureRequest link;
+  link.set_name("groups/depot/loopClosures/1");
+  const std::vector<std::function<absl::Status()>> once = {
+      [&] { return client_.UpdateGroup(update).status(); },
+      [&] { return client_.UpdateGroupMember(datum).status(); },
+      [&] { return client_.RemoveGroupMember(member).status(); },
+      [&] { return client_.DeleteInterVehicleLoopClosure(link).status(); },
+      [&] { return client_.DeleteGroup({}).status(); }};
+  for (std::size_t i = 0; i < once.size(); ++i) {
+    server_.FailUnaryCalls({StoreUnavailable()});
+    EXPECT_EQ(once[i]().code(), absl::StatusCode::kUnavailable) << i;
+  }
 }
 
 TEST_F(ClientTest, RetriesNoOtherCode) {

@@ -4,7 +4,10 @@
 
 #include <memory>
 #include <sstream>
+#include <vector>
 
+#include "absl/status/status.h"
+#include "client/cli/flags.h"
 #include "client/revisit/channel.h"
 #include "client/revisit/client.h"
 #include "client/terminal/terminal.h"
@@ -19,6 +22,20 @@ class CommandTest : public ::testing::Test {
   Terminal Text() { return {out_, progress_, false}; }
   Terminal Json() { return As(OutputFormat::kJson); }
   Terminal As(OutputFormat format) { return {out_, progress_, false, format}; }
+
+  // Runs a whole command line, behind the name of the program, of the command
+  // that `add` adds.
+  absl::Status RunLine(void (*add)(const Command&),
+                       std::vector<const char*> words,
+                       const Terminal& terminal) {
+    CommandLine line({"revisit", "", "", ""});
+    add(line.program());
+    words.insert(words.begin(), "revisit");
+    const auto parsed =
+        line.Parse(static_cast<int>(words.size()), words.data());
+    if (!parsed.ok()) return parsed.status();
+    return parsed->run({{}, channel_, Client(channel_)}, terminal);
+  }
 
   // Stores poses 1 to `count` of this vehicle, each as many metres along x as
   // its sequence says.

@@ -20,8 +20,11 @@
 #include "client/cli/commands/export_command.h"
 #include "client/cli/commands/find_command.h"
 #include "client/cli/commands/findings_command.h"
+#include "client/cli/commands/group_command.h"
 #include "client/cli/commands/info_command.h"
+#include "client/cli/commands/link_command.h"
 #include "client/cli/commands/map_command.h"
+#include "client/cli/commands/member_commands.h"
 #include "client/cli/commands/poses_command.h"
 #include "client/cli/commands/recordings_command.h"
 #include "client/cli/commands/review_command.h"
@@ -208,6 +211,30 @@ class HostileServerTest : public CommandTest {
          [this](const Terminal& c) {
            return RunReject(client_, {"a", 150, 20}, "", c);
          }},
+        {"group create",
+         [this](const Terminal& c) {
+           return RunGroupCreate(client_, "g", {}, c);
+         }},
+        {"group get",
+         [this](const Terminal& c) { return RunGroupGet(client_, "g", c); }},
+        {"group list",
+         [this](const Terminal& c) { return RunGroupList(client_, c); }},
+        {"group add",
+         [this](const Terminal& c) {
+           return RunMemberAdd(client_, {"g", "a"}, {}, c);
+         }},
+        {"group members",
+         [this](const Terminal& c) { return RunMembers(client_, "g", c); }},
+        {"link add",
+         [this](const Terminal& c) {
+           return RunLinkAdd(client_, {"g", {"a", 1}, {"b", 2}, {}, ""}, c);
+         }},
+        {"link list",
+         [this](const Terminal& c) { return RunLinkList(client_, "g", c); }},
+        {"link delete",
+         [this](const Terminal& c) {
+           return RunLinkDelete(client_, {"g", {"a@1", "b@2"}}, c);
+         }},
         {"poses list",
          [this](const Terminal& c) { return RunPosesList(client_, {"a"}, c); }},
         {"recordings list",
@@ -249,6 +276,24 @@ TEST_F(HostileServerTest, NoCommandPrintsWhatATerminalWouldObeyOrHide) {
       EXPECT_EQ(Unfit(ErrorText(status)), "") << ErrorText(status);
       EXPECT_EQ(Unfit(ErrorToJson(status)), "") << ErrorToJson(status);
     }
+  }
+}
+
+TEST_F(HostileServerTest, SearchInAGroupPrintsNothingThatATerminalWouldObey) {
+  v1::CandidateSet set;
+  set.set_group_revision(1);
+  set.add_candidates()->set_matched_vehicle(kHostile);
+  set.add_searched()->set_vehicle(kHostile);
+  set.mutable_searched(0)->mutable_lag()->set_seconds(
+      std::numeric_limits<std::int64_t>::min());
+  set.add_unsearched()->set_vehicle(kHostile);
+  set.mutable_unsearched(0)->set_reason(static_cast<v1::UnsearchedReason>(77));
+  server_.set_candidates(set);
+  for (const OutputFormat format : {OutputFormat::kText, OutputFormat::kWide,
+                                    OutputFormat::kName, OutputFormat::kJson}) {
+    out_.str("");
+    ASSERT_TRUE(RunFind(client_, {}, As(format)).ok());
+    EXPECT_EQ(Unfit(out_.str()), "") << out_.str();
   }
 }
 
@@ -304,15 +349,22 @@ TEST_F(HostileServerTest, ListsThatDoNotGoOnEndWithAnError) {
   std::vector<NamedCommand> commands;
   for (NamedCommand& command : Commands()) {
     for (const char* name :
-         {"vehicle list", "checks", "checks by value", "contradictions",
-          "review", "closures list", "rejections list", "deletions list",
-          "closures delete", "poses list", "recordings list", "export g2o",
-          "export tum", "export csv", "map html", "revise"}) {
+         {"vehicle list",    "checks",         "checks by value",
+          "contradictions",  "review",         "closures list",
+          "rejections list", "deletions list", "closures delete",
+          "group list",      "group members",  "link list",
+          "link delete",     "poses list",     "recordings list",
+          "export g2o",      "export tum",     "export csv",
+          "map html",        "revise"}) {
       if (command.name == name) commands.push_back(command);
     }
   }
-  ASSERT_EQ(commands.size(), 16u);
+  ASSERT_EQ(commands.size(), 20u);
   Append(3);
+  ASSERT_TRUE(RunGroupCreate(client_, "g", {}, Text()).ok());
+  ASSERT_TRUE(RunMemberAdd(client_, {"g", "a"}, {}, Text()).ok());
+  ASSERT_TRUE(
+      RunLinkAdd(client_, {"g", {"a", 1}, {"b", 2}, {}, ""}, Text()).ok());
   for (const ListEnd end :
        {ListEnd::kRepeats, ListEnd::kRepeatsUnderFreshTokens,
         ListEnd::kEmptyPages}) {

@@ -1,0 +1,44 @@
+// Commands that delete what cannot be had again, which ask first.
+#ifndef REVISIT_CLIENT_CLI_COMMANDS_DELETION_H_
+#define REVISIT_CLIENT_CLI_COMMANDS_DELETION_H_
+
+#include <functional>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "client/cli/flags.h"
+#include "client/revisit/client.h"
+#include "client/terminal/terminal.h"
+
+namespace revisit::client {
+
+// Answers a question: the line that was typed, or nothing at the end of input.
+using Ask =
+    std::function<std::optional<std::string>(const std::string& question)>;
+
+// A kind of resources that are deleted by their ids.
+struct DeletedKind {
+  std::string (*name)(const std::string& id);
+  // What is lost with one, for the question, such as " with its 3 poses".
+  absl::StatusOr<std::string> (*content)(const Client& client,
+                                         const std::string& name);
+  absl::Status (*remove)(const Client& client, const std::string& name);
+};
+
+// Deletes each one whose id is typed as the answer of `ask`; without `ask`, all
+// of them. Stops at the first one that is not there, cannot be deleted or whose
+// id was not typed. Prints their names; as JSON: {"deleted": ["vehicles/..."]}.
+absl::Status RunDeletion(const Client& client, const DeletedKind& kind,
+                         const std::vector<std::string>& ids, const Ask& ask,
+                         const Terminal& terminal);
+
+// Adds such a command, with the flag --yes. It asks at the terminal.
+void AddDeletion(const Command& parent, const CommandHelp& help,
+                 const DeletedKind& kind);
+
+}  // namespace revisit::client
+
+#endif  // REVISIT_CLIENT_CLI_COMMANDS_DELETION_H_

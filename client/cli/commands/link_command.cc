@@ -1,0 +1,282 @@
+#include "client/cli/commands/link_command.h"
+
+#include <memory>
+#include <utility>
+
+#include "absl/status/statusor.h"
+#include "absl/strings/numbers.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "absl/strings/str_replace.h"
+#include "client/answers/exact_text.h"
+#include "client/answers/names.h"
+#include "client/answers/pages.h"
+#include "client/cli/commands/printed_change.h"
+#include "client/cli/commands/shared_flags.h"
+#include "client/revisit/printable_text.h"
+
+namespace revisit::client {
+namespace {
+
+using Links = std::vector<v1::InterVehicleLoopClosure>;
+
+constexpr char kEndWords[] = "VEHICLE@SEQUENCE, such as shuttle-7@2068";
+
+std::string EndText(const v1::MemberPose& pose) {
+  return absl::StrCat(IdOf(pose.vehicle()), "@", pose.sequence());
+}
+
+void Fill(const LinkEnd& end, v1::MemberPose* pose) {
+  pose->set_vehicle(VehicleName(end.vehicle));
+  pose->set_sequence(end.sequence);
+}
+
+bool IsAt(const LinkEnd& end, const v1::MemberPose& pose) {
+  return pose.vehicle() == VehicleName(end.vehicle) &&
+         pose.sequence() == end.sequence;
+}
+
+absl::StatusOr<Links> ListAllLinks(const Client& client,
+                                   const std::string& group) {
+  v1::ListInterVehicleLoopClosuresRequest request;
+  request.set_parent(GroupName(group));
+  request.set_page_size(1000);
+  return ReadPages(
+      request,
+      [&](const v1::ListInterVehicleLoopClosuresRequest& asked) {
+        return client.ListInterVehicleLoopClosures(asked);
+      },
+      [](const v1::ListInterVehicleLoopClosuresResponse& page) -> const auto& {
+        return page.loop_closures();
+      });
+}
+
+// "1.20 m, -0.40 m, 0.030 rad": x and y, z where it is not 0, and the heading.
+std::string MeasurementText(const v1::InterVehicleLoopClosure& link) {
+  if (!link.has_measurement()) return "-";
+  const v1::LoopClosureMeasurement& measured = link.measurement();
+  return absl::StrCat(Fixed(measured.x_meters(), 2), " m, ",
+                      Fixed(measured.y_meters(), 2), " m, ",
+                      measured.z_meters() == 0.0
+                          ? ""
+                          : absl::StrCat(Fixed(measured.z_meters(), 2), " m, "),
+                      Fixed(measured.heading_radians(), 3), " rad");
+}
+
+void PrintTable(const Links& all, const Terminal& terminal) {
+  using Align = Table::Align;
+  // The note is last, since it is as long as whoever wrote it wanted.
+  Table table({{"ID", Align::kLeft},
+               {"QUERY", Align::kLeft},
+               {"MATCHED", Align::kLeft},
+               {"MEASURED", Align::kLeft},
+               {"SCORE", Align::kRight},
+               {"CREATED", Align::kLeft},
+               {"DECIDED_BY", Align::kLeft},
+               {"NOTE", Align::kLeft}});
+  for (const v1::InterVehicleLoopClosure& link : all) {
+    table.AddRow(
+        {IdOf(link.name()), EndText(link.query()), EndText(link.matched()),
+         MeasurementText(link), link.has_score() ? Exact(link.score()) : "-",
+         StampText(link.create_time()),
+         link.decided_by().empty() ? "-" : link.decided_by(),
+         absl::StrReplaceAll(link.note(), {{"\n", " "}, {"\t", " "}})});
+  }
+  table.Print(terminal.out, terminal.width);
+}
+
+// The name of the only one between these poses.
+absl::StatusOr<std::string> NameBetween(const Client& client,
+                                        const std::string& group,
+                                        const LinkEnd& query,
+                                        const LinkEnd& matched) {
+  const auto all = ListAllLinks(client, group);
+  if (!all.ok()) return all.status();
+  std::vector<std::string> names;
+  for (const v1::InterVehicleLoopClosure& link : *all) {
+    if (IsAt(query, link.query()) && IsAt(matched, link.matched())) {
+      names.push_back(link.name());
+    }
+  }
+  if (names.size() == 1) return names.front();
+  if (names.empty()) {
+    return WithHint(
+        absl::NotFoundError(absl::StrCat(
+            GroupName(group), " has no loop closure between these poses")),
+        absl::StrCat("revisit link list ", group,
+                     " shows those that it has; the query comes first"));
+  }
+  return WithHint(absl::FailedPreconditionError(
+                      absl::StrCat(GroupName(group), " has ", names.size(),
+                                   " loop closures between these poses")),
+                  absl::StrCat("name one by its id: ",
+                               Printable(absl::StrJoin(names, ", "))));
+}
+
+void AddEnd(const Command& command, const std::string& word,
+            const std::string& help, LinkEnd* end) {
+  command
+      .AddText(
+          word, "VEHICLE@SEQUENCE",
+          [end](const std::string& text) { return ReadLinkEnd(text, end); },
+          help)
+      .Required();
+}
+
+void AddAddLink(const Command& link) {
+  const Command command = link.AddCommand(
+      {"add",
+       "Tells that two poses of two vehicles were found to be one place.",
+       "Both are members of the group. It ties the frames of the two "
+       "recordings. Again: the\nexisting one. A mistaken one is undone by "
+       "revisit link delete. revisit find --group\n-o name prints both words.",
+       "  revisit link add depot shuttle-8@310 shuttle-7@1072\n"
+       "  revisit link add depot shuttle-8@310 shuttle-7@1072 "
+       "--relative 1.2,-0.4,0.03 --covariance 0.04,0,0,0.04,0,0.0004"});
+  const auto added = std::make_shared<NewLink>();
+  AddGroupName(command, &added->group);
+  AddEnd(command, "QUERY", "The pose that asked", &added->query);
+  AddEnd(command, "MATCHED", "The pose of the other vehicle", &added->matched);
+  AddMeasurement(command, "The query as seen from the matched pose",
+                 &added->measured);
+  command.AddText("--id", "ID", &added->id,
+                  "Last part of its name; made of the two poses if left out");
+  command.AlsoPrints({OutputFormat::kName});
+  command.Runs(
+      [added](const Connection& server, const Terminal& terminal) {
+        return RunLinkAdd(server.client, *added, terminal);
+      },
+      [added] { return CheckMeasurement(added->measured); });
+}
+
+void AddListLinks(const Command& link) {
+  const Command command = link.AddCommand(
+      {"list", "Lists the loop closures between a group's vehicles.", "",
+       "  revisit link list depot"});
+  const auto group = std::make_shared<std::string>();
+  AddGroupName(command, group.get());
+  command.AlsoPrints({OutputFormat::kName});
+  command.Runs([group](const Connection& server, const Terminal& terminal) {
+    return RunLinkList(server.client, *group, terminal);
+  });
+}
+
+void AddDeleteLink(const Command& link) {
+  const Command command = link.AddCommand(
+      {"delete", "Deletes a loop closure: undoes a mistaken link add.", "",
+       "  revisit link delete depot shuttle-8@310 shuttle-7@1072"});
+  const auto deleted = std::make_shared<LinkReference>();
+  AddGroupName(command, &deleted->group);
+  command
+      .AddTexts("WHICH", "TEXT", &deleted->words,
+                "QUERY and MATCHED, as they were added; or its id")
+      .Required();
+  command.AlsoPrints({OutputFormat::kName});
+  command.Runs(
+      [deleted](const Connection& server, const Terminal& terminal) {
+        return RunLinkDelete(server.client, *deleted, terminal);
+      },
+      [deleted] { return CheckLink(*deleted); });
+}
+
+}  // namespace
+
+void AddLinkCommand(const Command& program) {
+  const Command link = program.AddCommand(
+      {"link",
+       "Adds, lists and deletes loop closures between vehicles of a group.", "",
+       ""});
+  AddAddLink(link);
+  AddListLinks(link);
+  AddDeleteLink(link);
+}
+
+std::string ReadLinkEnd(const std::string& text, LinkEnd* end) {
+  const std::size_t at = text.rfind('@');
+  std::int64_t sequence = 0;
+  if (at == text.npos || at == 0 ||
+      text.find_first_not_of("0123456789", at + 1) != text.npos ||
+      !absl::SimpleAtoi(text.substr(at + 1), &sequence) ||
+      sequence < kSequences.lowest) {
+    return kEndWords;
+  }
+  *end = {text.substr(0, at), static_cast<std::uint64_t>(sequence)};
+  return "";
+}
+
+std::string CheckLink(const LinkReference& link) {
+  const std::vector<std::string>& words = link.words;
+  LinkEnd end;
+  if (words.size() == 1) {
+    // A name says which group it belongs to.
+    const bool other = words[0].find('/') != std::string::npos &&
+                       words[0].rfind(GroupName(link.group) + "/", 0) != 0;
+    return other ? absl::StrCat("got \"", words[0],
+                                "\", which does not belong to ",
+                                GroupName(link.group))
+                 : "";
+  }
+  if (words.size() == 2 && ReadLinkEnd(words[0], &end).empty() &&
+      ReadLinkEnd(words[1], &end).empty()) {
+    return "";
+  }
+  return absl::StrCat("got \"", absl::StrJoin(words, " "),
+                      "\"; allowed is an id, or two of ", kEndWords);
+}
+
+absl::Status RunLinkAdd(const Client& client, const NewLink& link,
+                        const Terminal& terminal) {
+  v1::AddInterVehicleLoopClosureRequest request;
+  request.set_parent(GroupName(link.group));
+  request.set_loop_closure_id(link.id);
+  v1::InterVehicleLoopClosure* const closure = request.mutable_loop_closure();
+  Fill(link.query, closure->mutable_query());
+  Fill(link.matched, closure->mutable_matched());
+  Fill(link.measured, closure);
+  const auto response = client.AddInterVehicleLoopClosure(request);
+  if (!response.ok()) return response.status();
+  PrintChange("linked", response->loop_closure().name(), *response, terminal);
+  return absl::OkStatus();
+}
+
+absl::Status RunLinkList(const Client& client, const std::string& group,
+                         const Terminal& terminal) {
+  const auto all = ListAllLinks(client, group);
+  if (!all.ok()) return all.status();
+  if (terminal.json()) {
+    v1::ListInterVehicleLoopClosuresResponse response;
+    response.mutable_loop_closures()->Assign(all->begin(), all->end());
+    terminal.out << ToJson(response, true) << '\n';
+  } else if (terminal.names()) {
+    PrintNames(*all, terminal);
+  } else {
+    PrintTable(*all, terminal);
+  }
+  return absl::OkStatus();
+}
+
+absl::Status RunLinkDelete(const Client& client, const LinkReference& link,
+                           const Terminal& terminal) {
+  v1::DeleteInterVehicleLoopClosureRequest request;
+  const std::string& word = link.words.front();
+  if (link.words.size() == 2) {
+    LinkEnd query;
+    LinkEnd matched;
+    ReadLinkEnd(link.words[0], &query);
+    ReadLinkEnd(link.words[1], &matched);
+    auto name = NameBetween(client, link.group, query, matched);
+    if (!name.ok()) return name.status();
+    request.set_name(*std::move(name));
+  } else if (word.find('/') != std::string::npos) {
+    request.set_name(word);
+  } else {
+    request.set_name(
+        absl::StrCat(GroupName(link.group), "/loopClosures/", word));
+  }
+  const auto response = client.DeleteInterVehicleLoopClosure(request);
+  if (!response.ok()) return response.status();
+  PrintRemoval("deleted", request.name(), *response, terminal);
+  return absl::OkStatus();
+}
+
+}  // namespace revisit::client
