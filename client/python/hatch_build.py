@@ -19,7 +19,8 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 HEADER = '"""Messages and enums of the API, generated from its protos."""\n'
 #: Messages whose fields are keywords of the client, and the names of their types.
 KEYWORDS = {"VehicleSettings": "SettingsKeywords",
-            "CandidateOptions": "CandidateKeywords"}
+            "CandidateOptions": "CandidateKeywords",
+            "GroupSettings": "GroupKeywords"}
 KEYWORDS_HEADER = '''\
 """Types of settings that are given as keywords, generated from the protos: an enum is
 also the words of its values, a message also a mapping."""

@@ -46,6 +46,23 @@ def settle(client: revisit.Client, bar: revisit.ProgressBar) -> list[str]:
     name: str = made.name
     return [name, *(one.message for one in ack.warnings)]
 
+def join(client: revisit.Client) -> int:
+    made = client.create_group("g", fix_bias_meters=3, geodetic_origin={
+        "latitude_degrees": 48.0, "longitude_degrees": 11.0})
+    placed: v1.Datum = revisit.datum((1.0, 2.0, 0.1), np.eye(3), datum_id="gate")
+    added = client.add_group_member("g", "a", placed)
+    found = client.find_candidates("a", group="g", vehicles=["b"], exclude_own=True)
+    linked = client.add_inter_vehicle_loop_closure("g", "a", found.candidates[0])
+    members: list[str] = [member.vehicle for member in client.list_group_members("g")]
+    return added.revision + linked.revision + made.revision + len(members)
+
+async def join_awaited(client: revisit.aio.Client) -> str:
+    await client.update_group_member("g", "a", None, expected_revision=3)
+    linked = await client.add_inter_vehicle_loop_closure("g", ("a", 1), ("b", 2))
+    async for link in client.list_inter_vehicle_loop_closures("g"):
+        return link.name
+    return linked.loop_closure.name
+
 def verify(client: revisit.Client) -> str:
     checks = client.list_checks("a", states=["open", v1.CANDIDATE_STATE_CONFIRMED])
     first: v1.Check = next(checks)
@@ -81,6 +98,8 @@ def drive(client: revisit.Client) -> None:
     revisit.Poses.local()
     client.create_vehicle("a", max_candidate=3)
     client.create_vehicle("a", max_candidates="three")
+    client.create_group("g", fix_bias="three")
+    client.add_group_member("g", "a", (1, 2, 3))
     revisit.aio.Client("").get_vehicle("a").name
     for event in client.watch(states=None):
         event.candidate.name
@@ -209,7 +228,7 @@ def test_its_users_are_checked_by_its_types(tmp_path):
     checked = mypy("bad.py", cwd=tmp_path)
     assert re.findall(r"bad.py:\d+: error: .*\[([\w-]+)\]", checked.stdout) == [
         "arg-type", "attr-defined", "arg-type", "call-arg", "call-arg", "arg-type",
-        "attr-defined", "union-attr"]
+        "call-arg", "arg-type", "attr-defined", "union-attr"]
 
 
 @pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")),

@@ -13,6 +13,7 @@
 
 from revisit import aio, v1
 from revisit._calls import evidence_of
+from revisit._group_calls import datum
 from revisit._version import __version__
 from revisit.arrays import Poses
 from revisit.backoff import BackoffOptions
@@ -63,6 +64,7 @@ __all__ = [
     "Poses", "ProgressBar", "QuotaViolation", "RecordingError", "ResourceExhausted",
     "StreamCallbacks", "StreamOptions", "Table", "Unauthenticated", "Unavailable",
     "Unimplemented", "VehicleReplaced", "Watch", "WatchEvent", "__version__", "aio",
-    "candidate_table", "check_table", "edge_table", "evidence_of", "iter_recording",
-    "node_table", "read_recording", "recording_start", "recording_table", "v1",
+    "candidate_table", "check_table", "datum", "edge_table", "evidence_of",
+    "iter_recording", "node_table", "read_recording", "recording_start",
+    "recording_table", "v1",
 ]

@@ -30,18 +30,20 @@ _Pair = TypeVar("_Pair", v1.LoopClosure, v1.RejectedCandidate)
 #: may have changed the same thing.
 _NEVER_REPEATED = frozenset({
     "UpdateVehicle", "DeleteVehicle", "DeleteLoopClosure", "DeleteRejectedCandidate",
-    "AcceptDataLoss"})
+    "AcceptDataLoss", "UpdateGroup", "DeleteGroup", "UpdateGroupMember",
+    "RemoveGroupMember", "DeleteInterVehicleLoopClosure"})
 
 #: Poses in a message of RevisePoses.
 _REVISED_POSES = 1000
 #: Poses and pairs on a page of a list.
 _POSES_PAGE = 10_000
-_PAGE = 1000
+PAGE = 1000
 #: Deleted pairs, which may be larger.
 _DELETED_PAGE = 500
 #: Checks on a page, which have all candidates of a search.
 _CHECKS_PAGE = 200
-#: Empty pages that may follow each other. The service sends none before the last.
+#: Empty pages that may follow each other. The service sends none before the last, but
+#: of what groups have, where the caller may not read it.
 _MOST_EMPTY_PAGES = 100
 #: The same of checks, of which a filter may leave out many pages.
 _MOST_EMPTY_PAGES_OF_CHECKS = 100_000
@@ -50,6 +52,17 @@ _MOST_EMPTY_PAGES_OF_CHECKS = 100_000
 def vehicle_name(vehicle: str) -> str:
     """The resource name: "vehicles/shuttle-7", also of the id "shuttle-7"."""
     return vehicle if "/" in vehicle else f"vehicles/{vehicle}"
+
+
+def vehicle_names(vehicles: Vehicles) -> list[str]:
+    if isinstance(vehicles, str):
+        vehicles = (vehicles,)
+    return [vehicle_name(vehicle) for vehicle in vehicles or ()]
+
+
+def group_name(group: str) -> str:
+    """The resource name: "groups/depot", also of the id "depot"."""
+    return group if "/" in group else f"groups/{group}"
 
 
 def _messages(poses: PosesLike) -> Iterable[v1.Pose]:
@@ -161,7 +174,7 @@ def get_vehicle(vehicle: str) -> Call[v1.Vehicle]:
 
 
 def list_vehicles() -> Pages[v1.Vehicle]:
-    return Pages("ListVehicles", v1.ListVehiclesRequest(page_size=_PAGE), "vehicles")
+    return Pages("ListVehicles", v1.ListVehiclesRequest(page_size=PAGE), "vehicles")
 
 
 def update_vehicle(vehicle: str, settings: Optional[v1.VehicleSettings],
@@ -221,7 +234,7 @@ def list_poses(vehicle: str, first_sequence: int, as_sent: bool) -> Pages[v1.Pos
 
 def list_recordings(vehicle: str) -> Pages[v1.Recording]:
     return Pages("ListRecordings", v1.ListRecordingsRequest(
-        parent=vehicle_name(vehicle), page_size=_PAGE), "recordings",
+        parent=vehicle_name(vehicle), page_size=PAGE), "recordings",
         order=lambda recording: recording.first_sequence)
 
 
@@ -261,12 +274,28 @@ def export_pose_graph(vehicle: str, as_sent: bool) -> Call[PoseGraph]:
 # Candidates, and what a verifier found of them.
 
 
+def search_scope(group: str, vehicles: Vehicles, exclude_own: bool,
+                 allow_partial: bool) -> Optional[v1.SearchScope]:
+    """Where else than in its own history a search of a vehicle looks; None without a
+    group. TypeError for what only a group has."""
+    if not group:
+        if vehicles is not None or exclude_own or allow_partial:
+            raise TypeError("group is missing: vehicles, exclude_own and allow_partial "
+                            "are those of a search in a group")
+        return None
+    return v1.SearchScope(group=group_name(group), vehicles=vehicle_names(vehicles),
+                          exclude_own=exclude_own, allow_partial=allow_partial)
+
+
 def find_candidates(vehicle: str, sequence: int,
                     options: Optional[v1.CandidateOptions],
+                    scope: Optional[v1.SearchScope],
                     keywords: Mapping[str, Any]) -> Call[v1.CandidateSet]:
     def candidates(answer: v1.FindCandidatesResponse) -> v1.CandidateSet:
         return answer.candidates
 
+    if scope is not None:
+        keywords = {**keywords, "scope": scope}
     return unary("FindCandidates", v1.FindCandidatesRequest(
         vehicle=vehicle_name(vehicle), sequence=sequence,
         options=merged(v1.CandidateOptions, options, keywords)), candidates)
@@ -291,24 +320,47 @@ def _pair(query: Union[int, v1.Candidate, _Pair], matched: Optional[int],
     return query
 
 
+def coordinates_of(numbers: ArrayLike, name: str, maps: str) -> dict[str, float]:
+    """x, y, z and heading as messages have them, of (x, y, heading), (x, y, z, heading)
+    or a matrix that `maps` something."""
+    array = np.asarray(numbers, dtype=np.float64)
+    if array.shape in ((3, 3), (4, 4)):
+        turn = np.arctan2(array[1, 0], array[0, 0])
+        array = np.append(array[:-1, -1], turn)
+    if array.shape not in ((3,), (4,)):
+        raise ValueError(
+            f"{name} has the shape {array.shape}: expected x, y, heading, or x, y, "
+            f"z, heading, or a matrix (3, 3) or (4, 4) that maps {maps}")
+    x, y, *z, heading = array.tolist()
+    return {"x_meters": x, "y_meters": y, "z_meters": z[0] if z else 0.0,
+            "heading_radians": heading}
+
+
+def covariance_of(covariance: ArrayLike) -> v1.Covariance:
+    """The covariance of one error, as `to_covariances()` takes those of poses."""
+    values, form = to_covariances(np.asarray(covariance, np.float64)[np.newaxis], 1)
+    return v1.Covariance(form=v1.CovarianceForm.Name(form), values=values[0])
+
+
 def _measurement(relative: ArrayLike,
                  covariance: Optional[ArrayLike]) -> v1.LoopClosureMeasurement:
     if covariance is None:
         raise TypeError("relative needs its covariance: nothing is assumed of it")
-    numbers = np.asarray(relative, dtype=np.float64)
-    if numbers.shape in ((3, 3), (4, 4)):
-        turn = np.arctan2(numbers[1, 0], numbers[0, 0])
-        numbers = np.append(numbers[:-1, -1], turn)
-    if numbers.shape not in ((3,), (4,)):
-        raise ValueError(
-            f"relative has the shape {numbers.shape}: expected x, y, heading, or x, y, "
-            "z, heading, or a matrix (3, 3) or (4, 4) that maps the query's body into "
-            "the match's")
-    values, form = to_covariances(np.asarray(covariance, np.float64)[np.newaxis], 1)
-    x, y, *z, heading = numbers.tolist()
     return v1.LoopClosureMeasurement(
-        x_meters=x, y_meters=y, z_meters=z[0] if z else 0.0, heading_radians=heading,
-        covariance=v1.Covariance(form=v1.CovarianceForm.Name(form), values=values[0]))
+        **coordinates_of(relative, "relative", "the query's body into the match's"),
+        covariance=covariance_of(covariance))
+
+
+def add_findings(closure: Union[v1.LoopClosure, v1.InterVehicleLoopClosure],
+                 relative: Optional[ArrayLike], covariance: Optional[ArrayLike],
+                 score: Optional[float]) -> None:
+    """Writes what a verifier measured into a loop closure."""
+    if relative is not None:
+        closure.measurement.CopyFrom(_measurement(relative, covariance))
+    elif covariance is not None:
+        raise TypeError("covariance is that of relative, which is missing")
+    if score is not None:
+        closure.score = score
 
 
 def add_loop_closure(vehicle: str, query: Union[int, v1.Candidate, v1.LoopClosure],
@@ -318,12 +370,7 @@ def add_loop_closure(vehicle: str, query: Union[int, v1.Candidate, v1.LoopClosur
                      ) -> Call[v1.AddLoopClosureResponse]:
     made = v1.LoopClosure()
     made.CopyFrom(_pair(query, matched, v1.LoopClosure, note))
-    if relative is not None:
-        made.measurement.CopyFrom(_measurement(relative, covariance))
-    elif covariance is not None:
-        raise TypeError("covariance is that of relative, which is missing")
-    if score is not None:
-        made.score = score
+    add_findings(made, relative, covariance, score)
     return unary("AddLoopClosure", v1.AddLoopClosureRequest(
         parent=vehicle_name(vehicle), loop_closure_id=loop_closure_id,
         loop_closure=made, candidate=candidate))
@@ -331,7 +378,7 @@ def add_loop_closure(vehicle: str, query: Union[int, v1.Candidate, v1.LoopClosur
 
 def list_loop_closures(vehicle: str) -> Pages[v1.LoopClosure]:
     return Pages("ListLoopClosures", v1.ListLoopClosuresRequest(
-        parent=vehicle_name(vehicle), page_size=_PAGE), "loop_closures")
+        parent=vehicle_name(vehicle), page_size=PAGE), "loop_closures")
 
 
 def delete_loop_closure(name: str) -> Call[Any]:
@@ -359,7 +406,7 @@ def reject_candidate(vehicle: str,
 
 def list_rejected_candidates(vehicle: str) -> Pages[v1.RejectedCandidate]:
     return Pages("ListRejectedCandidates", v1.ListRejectedCandidatesRequest(
-        parent=vehicle_name(vehicle), page_size=_PAGE), "rejected_candidates")
+        parent=vehicle_name(vehicle), page_size=PAGE), "rejected_candidates")
 
 
 def delete_rejected_candidate(name: str) -> Call[Any]:
@@ -385,10 +432,8 @@ def list_deleted_pose_pairs(vehicle: str) -> Pages[v1.DeletedPosePair]:
 def candidate_filter(vehicles: Vehicles, states: Words, verdicts: Words,
                      least_probability: Optional[float],
                      least_value: Optional[float]) -> v1.CandidateFilter:
-    if isinstance(vehicles, str):
-        vehicles = (vehicles,)
     return v1.CandidateFilter(
-        vehicles=[vehicle_name(vehicle) for vehicle in vehicles or ()],
+        vehicles=vehicle_names(vehicles),
         states=_numbers(v1.CandidateState, "states", states),
         verdicts=_numbers(v1.Verdict, "verdicts", verdicts),
         least_probability=least_probability,

@@ -10,7 +10,7 @@ from revisit._calls import Call
 from revisit.backoff import Backoff, BackoffOptions
 from revisit.channel import Caller, Metadata, owner_route
 from revisit.errors import (
-    Error, ResourceExhausted, Unavailable, is_cut, was_elsewhere)
+    Error, ResourceExhausted, Unavailable, is_cut, reads_histories, was_elsewhere)
 
 
 def _may_repeat(error: Error, is_safe: bool) -> bool:
@@ -72,9 +72,9 @@ class Attempts:
     def wait_after(self, error: Error) -> float:
         """How many seconds to wait after an attempt that failed; raises the error if
         there is no other attempt."""
-        if was_elsewhere(error):
+        if was_elsewhere(error) or reads_histories(error):
             # Until the deadline: after a server has died, others say so until its
-            # lease has run out.
+            # lease has run out, and the histories of a group may be long.
             self._count -= 1
             self._backoff.reset()
         if self._count >= self._max_attempts or not _may_repeat(error, self._is_safe):

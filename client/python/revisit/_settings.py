@@ -8,7 +8,7 @@ from typing import Any, Optional, TypeVar, Union
 
 from revisit import v1
 
-_T = TypeVar("_T", v1.VehicleSettings, v1.CandidateOptions)
+_T = TypeVar("_T", v1.VehicleSettings, v1.CandidateOptions, v1.GroupSettings)
 
 
 def number_of(enum: Any, name: str, word: Union[str, int]) -> Any:

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any, Optional, TypeVar, Union
 import grpc
 from numpy.typing import ArrayLike
 
-from revisit import _calls, maps, v1
+from revisit import _calls, _group_calls, maps, v1
 from revisit._calls import Call, Pages, Vehicles, Words, vehicle_name
+from revisit._group_calls import MemberPose
 from revisit._retries import CallOptions
 from revisit._stream_state import StreamState, log_warnings
 from revisit._watch_state import WatchState
@@ -30,7 +31,8 @@ from revisit.watch import CheckList, Watch, WatchEvent
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from revisit.v1.keywords import CandidateKeywords, SettingsKeywords
+    from revisit.v1.keywords import (
+        CandidateKeywords, GroupKeywords, SettingsKeywords)
 
 _T = TypeVar("_T")
 
@@ -52,7 +54,8 @@ class Client:
     before the deadline. Never repeated otherwise: updates, deletions,
     `accept_data_loss()`, and `revise_poses()` without an expected revision. After
     NOT_OWNER and EPOCH_FENCED, which change nothing, every call is made again as
-    often as the deadline allows, and goes to the owner if a proxy routes by it.
+    often as the deadline allows, and goes to the owner if a proxy routes by it; so is a
+    search after GROUP_NOT_READY, while the server reads histories.
 
     Each call sends an `x-request-id`, which names it in the server's log; errors
     have it as `request_id`.
@@ -250,12 +253,23 @@ class Client:
     # Candidates, and what a verifier found of them.
 
     def find_candidates(self, vehicle: str, sequence: int = 0,
-                        options: Optional[v1.CandidateOptions] = None,
+                        options: Optional[v1.CandidateOptions] = None, *,
+                        group: str = "", vehicles: Vehicles = None,
+                        exclude_own: bool = False, allow_partial: bool = False,
                         **keywords: Unpack[CandidateKeywords]) -> v1.CandidateSet:
         """Where the vehicle has probably been before, asked at a pose; 0 means the
         newest. `keywords` are the fields of v1.CandidateOptions, such as
-        `direction="either"`, and count before `options`."""
-        return self._run(_calls.find_candidates(vehicle, sequence, options, keywords))
+        `direction="either"`, and count before `options`.
+
+        With a `group`, the search looks in the histories of its members too, or of
+        those that `vehicles` names, and with `exclude_own` not in that of the vehicle
+        itself. A candidate's `matched_vehicle` is then the other vehicle. The server
+        may have to read the histories first: the call waits for that until its
+        deadline, then raises Unavailable (GROUP_NOT_READY). With `allow_partial` it
+        answers with those that are at hand; `unsearched` names the others."""
+        return self._run(_calls.find_candidates(
+            vehicle, sequence, options,
+            _calls.search_scope(group, vehicles, exclude_own, allow_partial), keywords))
 
     def add_loop_closure(self, vehicle: str,
                          query: Union[int, v1.Candidate, v1.LoopClosure],
@@ -328,6 +342,99 @@ class Client:
         """A vehicle's last 1000 loop closures and rejections that were deleted, the
         last one first: what was decided, and who undid it when."""
         return self._pages(_calls.list_deleted_pose_pairs(vehicle))
+
+    # Groups of vehicles.
+
+    def create_group(self, group_id: str,
+                     settings: Optional[v1.GroupSettings] = None, *,
+                     display_name: str = "",
+                     **keywords: Unpack[GroupKeywords]) -> v1.Group:
+        """Creates a group of vehicles whose histories are searched together, without
+        members, or returns the one of this name with these settings. AlreadyExists if
+        there is one with others. `keywords` are the fields of v1.GroupSettings.
+
+            client.create_group("depot", fix_bias_meters=3.0)
+            client.add_group_member("depot", "shuttle-7")
+            client.find_candidates("shuttle-8", group="depot")"""
+        return self._run(_group_calls.create_group(group_id, settings, display_name,
+                                                   keywords))
+
+    def get_group(self, group: str) -> v1.Group:
+        """The group with its settings, by id or resource name."""
+        return self._run(_group_calls.get_group(group))
+
+    def list_groups(self) -> Iterator[v1.Group]:
+        """All groups that the caller may read, by name, page by page."""
+        return self._pages(_group_calls.list_groups())
+
+    def update_group(self, group: str, settings: Optional[v1.GroupSettings] = None,
+                     names: Iterable[str] = (), *, display_name: Optional[str] = None,
+                     expected_revision: int = 0,
+                     **keywords: Unpack[GroupKeywords]) -> v1.Group:
+        """Changes the settings that are keywords, and those of `settings` that `names`
+        has; one that is None, or absent from `settings`, goes back to its default.
+        With a revision, Aborted if the group has another one by now."""
+        return self._run(_group_calls.update_group(
+            group, settings, names, display_name, expected_revision, keywords))
+
+    def delete_group(self, group: str, *, expected_revision: int = 0) -> None:
+        """Deletes a group with the loop closures between its members, which stay. It
+        cannot be undone."""
+        self._run(_group_calls.delete_group(group, expected_revision))
+
+    def add_group_member(self, group: str, vehicle: str,
+                         datum: Optional[v1.Datum] = None
+                         ) -> v1.AddGroupMemberResponse:
+        """Adds a vehicle to a group, with where its frame lies in that of the group
+        (`revisit.datum()`), if it is known and the vehicle has no fixes. Again with the
+        same datum: the existing member. AlreadyExists if it has another one."""
+        return self._run(_group_calls.add_group_member(group, vehicle, datum))
+
+    def update_group_member(self, group: str, vehicle: str, datum: Optional[v1.Datum],
+                            *, expected_revision: int = 0
+                            ) -> v1.UpdateGroupMemberResponse:
+        """Replaces the datum of a member, or removes it with None."""
+        return self._run(_group_calls.update_group_member(group, vehicle, datum,
+                                                          expected_revision))
+
+    def remove_group_member(self, group: str, vehicle: str) -> None:
+        """Removes a vehicle from a group, with its loop closures to the others."""
+        self._run(_group_calls.remove_group_member(group, vehicle))
+
+    def list_group_members(self, group: str) -> Iterator[v1.GroupMember]:
+        """The members of a group that the caller may read, by vehicle."""
+        return self._pages(_group_calls.list_group_members(group))
+
+    def add_inter_vehicle_loop_closure(
+            self, group: str, query: Union[MemberPose, str],
+            matched: Union[MemberPose, v1.Candidate], *,
+            relative: Optional[ArrayLike] = None,
+            covariance: Optional[ArrayLike] = None, score: Optional[float] = None,
+            note: str = "", loop_closure_id: str = ""
+            ) -> v1.AddInterVehicleLoopClosureResponse:
+        """Reports that a verifier found two poses of two members to be one place: two
+        pairs of a vehicle and a sequence, or the vehicle that asked and a candidate in
+        another one.
+
+            client.add_inter_vehicle_loop_closure("depot", "shuttle-8", candidate)
+            client.add_inter_vehicle_loop_closure(
+                "depot", ("shuttle-8", 310), ("shuttle-7", 1072),
+                relative=(1.2, -0.3, 0.02), covariance=np.diag([0.01, 0.01, 1e-4]))
+
+        It ties the frames of the two recordings. The rest is as for
+        `add_loop_closure()`."""
+        return self._run(_group_calls.add_inter_vehicle_loop_closure(
+            group, query, matched, relative, covariance, score, note, loop_closure_id))
+
+    def list_inter_vehicle_loop_closures(
+            self, group: str) -> Iterator[v1.InterVehicleLoopClosure]:
+        """The loop closures of a group of which the caller may read both vehicles, by
+        name."""
+        return self._pages(_group_calls.list_inter_vehicle_loop_closures(group))
+
+    def delete_inter_vehicle_loop_closure(self, name: str) -> None:
+        """Removes a loop closure from its group, by its resource name."""
+        self._run(_group_calls.delete_inter_vehicle_loop_closure(name))
 
     # Checks that are stored, of vehicles whose setting `checks` asks for it.
 

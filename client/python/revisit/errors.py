@@ -260,3 +260,9 @@ def was_elsewhere(error: Error) -> bool:
     was meanwhile, another server's: then also a call that must not be done twice may
     be made again."""
     return error.reason in ("NOT_OWNER", "EPOCH_FENCED")
+
+
+def reads_histories(error: Error) -> bool:
+    """Whether a search in a group was not made because the server still reads histories
+    of its members: it goes on with that meanwhile."""
+    return error.reason == "GROUP_NOT_READY"

@@ -186,7 +186,9 @@ def check_table(answers: Iterable[v1.CandidateSet]) -> Table:
     """A row per check: the query node as `query_index`, `query_x` and so on,
     `revision`, `candidates` (how many), `empty_reason` ("" if there are any),
     `new_place_probability` and `scale_estimate`, `scale_low`, `scale_high` (NaN where
-    absent), `nodes_considered`, `nodes_pruned`, `search_seconds`."""
+    absent), `nodes_considered`, `nodes_pruned`, `search_seconds`; of a search in a
+    group, `searched` and `unsearched` (how many other vehicles) and `group_revision` (0
+    of others)."""
     rows = list(answers)
     columns = _node_columns([row.query for row in rows], "query_")
     columns.update({
@@ -204,7 +206,10 @@ def check_table(answers: Iterable[v1.CandidateSet]) -> Table:
         "nodes_pruned": _numbers(rows, lambda row: row.nodes_pruned, np.int64),
         "search_seconds": _numbers(
             rows, lambda row: (row.search_duration.seconds
-                               + row.search_duration.nanos * 1e-9))})
+                               + row.search_duration.nanos * 1e-9)),
+        "searched": _numbers(rows, lambda row: len(row.searched), np.int64),
+        "unsearched": _numbers(rows, lambda row: len(row.unsearched), np.int64),
+        "group_revision": _numbers(rows, lambda row: row.group_revision, np.uint64)})
     return Table(columns)
 
 
@@ -231,7 +236,8 @@ def candidate_table(answers: Iterable[v1.CandidateSet]) -> Table:
     ("SAME", "OPPOSITE") as in candidate.proto. `query_...` and `matched_...` are the
     nodes: `index`, `sequence`, `fraction`, `stamp`, `travelled`, `x`, `y`, `z`,
     `heading`.
-    `recording_of_match` is the name of the matched node's recording, and `frame_state`
+    `matched_vehicle` is the vehicle of the matched node ("" where it is the one that
+    asked), `recording_of_match` the name of its recording, and `frame_state`
     ("SAME", "AFTER", "DATUM", ...) how its frame is tied to that of the query.
     `difference_x`, `_y`, `_z`, `_heading`, `_covariance` say where a verifier
     should search. `gate_...` and `path_gate_...`: `squared_distance`,
@@ -253,6 +259,8 @@ def candidate_table(answers: Iterable[v1.CandidateSet]) -> Table:
         "odds_to_runner_up": _optional(rows, "odds_to_runner_up"),
         "meters_before": _part(rows, "place_interval", "meters_before"),
         "meters_after": _part(rows, "place_interval", "meters_after")}
+    columns["matched_vehicle"] = np.array(
+        [row.matched_vehicle for row in rows], dtype=np.str_)
     columns["recording_of_match"] = np.array(
         [row.recording_of_match for row in rows], dtype=np.str_)
     columns["frame_state"] = _names(rows, lambda row: row.frame_state, v1.FrameState,

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any, Optional, TypeVar, Union
 import grpc
 from numpy.typing import ArrayLike
 
-from revisit import _calls, client, maps, v1
+from revisit import _calls, _group_calls, client, maps, v1
 from revisit._calls import Call, Pages, Vehicles, Words, vehicle_name
+from revisit._group_calls import MemberPose
 from revisit._retries import CallOptions
 from revisit._stream_state import StreamState, log_warnings
 from revisit._watch_state import WatchState
@@ -31,7 +32,8 @@ from revisit.tables import PoseGraph
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from revisit.v1.keywords import CandidateKeywords, SettingsKeywords
+    from revisit.v1.keywords import (
+        CandidateKeywords, GroupKeywords, SettingsKeywords)
 
 _T = TypeVar("_T")
 
@@ -207,11 +209,14 @@ class Client:
     # Candidates, and what a verifier found of them.
 
     async def find_candidates(self, vehicle: str, sequence: int = 0,
-                              options: Optional[v1.CandidateOptions] = None,
+                              options: Optional[v1.CandidateOptions] = None, *,
+                              group: str = "", vehicles: Vehicles = None,
+                              exclude_own: bool = False, allow_partial: bool = False,
                               **keywords: Unpack[CandidateKeywords]
                               ) -> v1.CandidateSet:
-        return await self._run(_calls.find_candidates(vehicle, sequence, options,
-                                                      keywords))
+        return await self._run(_calls.find_candidates(
+            vehicle, sequence, options,
+            _calls.search_scope(group, vehicles, exclude_own, allow_partial), keywords))
 
     async def add_loop_closure(self, vehicle: str,
                                query: Union[int, v1.Candidate, v1.LoopClosure],
@@ -252,6 +257,68 @@ class Client:
     def list_deleted_pose_pairs(self, vehicle: str
                                 ) -> AsyncIterator[v1.DeletedPosePair]:
         return self._pages(_calls.list_deleted_pose_pairs(vehicle))
+
+    # Groups of vehicles.
+
+    async def create_group(self, group_id: str,
+                           settings: Optional[v1.GroupSettings] = None, *,
+                           display_name: str = "",
+                           **keywords: Unpack[GroupKeywords]) -> v1.Group:
+        return await self._run(_group_calls.create_group(
+            group_id, settings, display_name, keywords))
+
+    async def get_group(self, group: str) -> v1.Group:
+        return await self._run(_group_calls.get_group(group))
+
+    def list_groups(self) -> AsyncIterator[v1.Group]:
+        return self._pages(_group_calls.list_groups())
+
+    async def update_group(self, group: str,
+                           settings: Optional[v1.GroupSettings] = None,
+                           names: Iterable[str] = (), *,
+                           display_name: Optional[str] = None,
+                           expected_revision: int = 0,
+                           **keywords: Unpack[GroupKeywords]) -> v1.Group:
+        return await self._run(_group_calls.update_group(
+            group, settings, names, display_name, expected_revision, keywords))
+
+    async def delete_group(self, group: str, *, expected_revision: int = 0) -> None:
+        await self._run(_group_calls.delete_group(group, expected_revision))
+
+    async def add_group_member(self, group: str, vehicle: str,
+                               datum: Optional[v1.Datum] = None
+                               ) -> v1.AddGroupMemberResponse:
+        return await self._run(_group_calls.add_group_member(group, vehicle, datum))
+
+    async def update_group_member(self, group: str, vehicle: str,
+                                  datum: Optional[v1.Datum], *,
+                                  expected_revision: int = 0
+                                  ) -> v1.UpdateGroupMemberResponse:
+        return await self._run(_group_calls.update_group_member(
+            group, vehicle, datum, expected_revision))
+
+    async def remove_group_member(self, group: str, vehicle: str) -> None:
+        await self._run(_group_calls.remove_group_member(group, vehicle))
+
+    def list_group_members(self, group: str) -> AsyncIterator[v1.GroupMember]:
+        return self._pages(_group_calls.list_group_members(group))
+
+    async def add_inter_vehicle_loop_closure(
+            self, group: str, query: Union[MemberPose, str],
+            matched: Union[MemberPose, v1.Candidate], *,
+            relative: Optional[ArrayLike] = None,
+            covariance: Optional[ArrayLike] = None, score: Optional[float] = None,
+            note: str = "", loop_closure_id: str = ""
+            ) -> v1.AddInterVehicleLoopClosureResponse:
+        return await self._run(_group_calls.add_inter_vehicle_loop_closure(
+            group, query, matched, relative, covariance, score, note, loop_closure_id))
+
+    def list_inter_vehicle_loop_closures(
+            self, group: str) -> AsyncIterator[v1.InterVehicleLoopClosure]:
+        return self._pages(_group_calls.list_inter_vehicle_loop_closures(group))
+
+    async def delete_inter_vehicle_loop_closure(self, name: str) -> None:
+        await self._run(_group_calls.delete_inter_vehicle_loop_closure(name))
 
     # Checks that are stored, of vehicles whose setting `checks` asks for it.
 
