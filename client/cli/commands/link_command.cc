@@ -18,7 +18,7 @@
 namespace revisit::client {
 namespace {
 
-using Links = std::vector<v1::InterVehicleLoopClosure>;
+using Links = v1::ListInterVehicleLoopClosuresResponse;
 
 constexpr char kEndWords[] = "VEHICLE@SEQUENCE, such as shuttle-7@2068";
 
@@ -36,18 +36,21 @@ bool IsAt(const LinkEnd& end, const v1::MemberPose& pose) {
          pose.sequence() == end.sequence;
 }
 
-absl::StatusOr<Links> ListAllLinks(const Client& client,
-                                   const std::string& group) {
+// All of them. DATA_LOSS if rows of others are damaged.
+absl::Status ListAllLinks(const Client& client, const std::string& group,
+                          Links* all) {
   v1::ListInterVehicleLoopClosuresRequest request;
   request.set_parent(GroupName(group));
   request.set_page_size(1000);
-  return ReadPages(
+  return VisitPages(
       request,
       [&](const v1::ListInterVehicleLoopClosuresRequest& asked) {
         return client.ListInterVehicleLoopClosures(asked);
       },
-      [](const v1::ListInterVehicleLoopClosuresResponse& page) -> const auto& {
-        return page.loop_closures();
+      [](const Links& page) -> const auto& { return page.loop_closures(); },
+      [&](const Links& page) -> absl::StatusOr<bool> {
+        all->mutable_loop_closures()->MergeFrom(page.loop_closures());
+        return true;
       });
 }
 
@@ -74,7 +77,7 @@ void PrintTable(const Links& all, const Terminal& terminal) {
                {"CREATED", Align::kLeft},
                {"DECIDED_BY", Align::kLeft},
                {"NOTE", Align::kLeft}});
-  for (const v1::InterVehicleLoopClosure& link : all) {
+  for (const v1::InterVehicleLoopClosure& link : all.loop_closures()) {
     table.AddRow(
         {IdOf(link.name()), EndText(link.query()), EndText(link.matched()),
          MeasurementText(link), link.has_score() ? Exact(link.score()) : "-",
@@ -90,15 +93,17 @@ absl::StatusOr<std::string> NameBetween(const Client& client,
                                         const std::string& group,
                                         const LinkEnd& query,
                                         const LinkEnd& matched) {
-  const auto all = ListAllLinks(client, group);
-  if (!all.ok()) return all.status();
+  Links all;
+  const absl::Status listed = ListAllLinks(client, group, &all);
+  if (!listed.ok() && !absl::IsDataLoss(listed)) return listed;
   std::vector<std::string> names;
-  for (const v1::InterVehicleLoopClosure& link : *all) {
+  for (const v1::InterVehicleLoopClosure& link : all.loop_closures()) {
     if (IsAt(query, link.query()) && IsAt(matched, link.matched())) {
       names.push_back(link.name());
     }
   }
   if (names.size() == 1) return names.front();
+  if (names.empty() && !listed.ok()) return listed;
   if (names.empty()) {
     return WithHint(
         absl::NotFoundError(absl::StrCat(
@@ -241,18 +246,17 @@ absl::Status RunLinkAdd(const Client& client, const NewLink& link,
 
 absl::Status RunLinkList(const Client& client, const std::string& group,
                          const Terminal& terminal) {
-  const auto all = ListAllLinks(client, group);
-  if (!all.ok()) return all.status();
+  Links all;
+  const absl::Status listed = ListAllLinks(client, group, &all);
+  if (!listed.ok() && !absl::IsDataLoss(listed)) return listed;
   if (terminal.json()) {
-    v1::ListInterVehicleLoopClosuresResponse response;
-    response.mutable_loop_closures()->Assign(all->begin(), all->end());
-    terminal.out << ToJson(response, true) << '\n';
+    terminal.out << ToJson(all, true) << '\n';
   } else if (terminal.names()) {
-    PrintNames(*all, terminal);
+    PrintNames(all.loop_closures(), terminal);
   } else {
-    PrintTable(*all, terminal);
+    PrintTable(all, terminal);
   }
-  return absl::OkStatus();
+  return listed;
 }
 
 absl::Status RunLinkDelete(const Client& client, const LinkReference& link,

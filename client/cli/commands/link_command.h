@@ -41,7 +41,8 @@ struct NewLink {
 // the group; as JSON, the response. REQUIRES: CheckMeasurement().
 absl::Status RunLinkAdd(const Client& client, const NewLink& link,
                         const Terminal& terminal);
-// Lists those of all pages. As JSON: {"loopClosures": [...]}.
+// Lists those of all pages. As JSON: {"loopClosures": [...]}. DATA_LOSS if rows
+// of others are damaged, below those that can be read.
 absl::Status RunLinkList(const Client& client, const std::string& group,
                          const Terminal& terminal);
 // A loop closure between two vehicles.

@@ -140,7 +140,7 @@ void AddListMembers(const Command& group) {
   });
 }
 
-void PrintTable(const std::vector<v1::GroupMember>& all,
+void PrintTable(const v1::ListGroupMembersResponse& all,
                 const Terminal& terminal) {
   using Align = Table::Align;
   Table table({{"VEHICLE", Align::kLeft},
@@ -149,7 +149,7 @@ void PrintTable(const std::vector<v1::GroupMember>& all,
                {"Y m", Align::kRight},
                {"Z m", Align::kRight},
                {"YAW rad", Align::kRight}});
-  for (const v1::GroupMember& member : all) {
+  for (const v1::GroupMember& member : all.members()) {
     std::vector<std::string> row = {member.vehicle(), "-", "-", "-", "-", "-"};
     if (member.has_datum()) {
       const v1::StatePose& pose = member.datum().pose();
@@ -223,25 +223,28 @@ absl::Status RunMembers(const Client& client, const std::string& group,
   v1::ListGroupMembersRequest request;
   request.set_parent(GroupName(group));
   request.set_page_size(1000);
-  const auto all = ReadPages(
+  v1::ListGroupMembersResponse all;
+  const absl::Status listed = VisitPages(
       request,
       [&](const v1::ListGroupMembersRequest& asked) {
         return client.ListGroupMembers(asked);
       },
       [](const v1::ListGroupMembersResponse& page) -> const auto& {
         return page.members();
+      },
+      [&](const v1::ListGroupMembersResponse& page) -> absl::StatusOr<bool> {
+        all.mutable_members()->MergeFrom(page.members());
+        return true;
       });
-  if (!all.ok()) return all.status();
+  if (!listed.ok() && !absl::IsDataLoss(listed)) return listed;
   if (terminal.json()) {
-    v1::ListGroupMembersResponse response;
-    response.mutable_members()->Assign(all->begin(), all->end());
-    terminal.out << ToJson(response, true) << '\n';
+    terminal.out << ToJson(all, true) << '\n';
   } else if (terminal.names()) {
-    PrintNames(*all, terminal);
+    PrintNames(all.members(), terminal);
   } else {
-    PrintTable(*all, terminal);
+    PrintTable(all, terminal);
   }
-  return absl::OkStatus();
+  return listed;
 }
 
 }  // namespace revisit::client

@@ -51,7 +51,8 @@ absl::Status RunMemberRemove(const Client& client,
                              const MemberReference& member,
                              const Terminal& terminal);
 // Lists the members of all pages. As JSON: {"members": [...]}. `group` is an id
-// or a name.
+// or a name. DATA_LOSS if rows of others are damaged, below those that can be
+// read.
 absl::Status RunMembers(const Client& client, const std::string& group,
                         const Terminal& terminal);
 

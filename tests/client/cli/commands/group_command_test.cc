@@ -203,6 +203,18 @@ TEST_F(GroupCommandTest, DatumIsReplacedAndRemovedButNotForgotten) {
   EXPECT_THAT(out_.str(), ContainsRegex("vehicles/a +- +-"));
 }
 
+TEST_F(GroupCommandTest, MembersBesideDamagedOnesAreListed) {
+  ASSERT_TRUE(Line({"group", "create", "depot"}).ok());
+  for (const char* vehicle : {"a", "b", "c"}) {
+    ASSERT_TRUE(Line({"group", "add", "depot", vehicle}).ok());
+  }
+  server_.FailUnaryCalls(
+      {grpc::Status::OK, MakeStatus(grpc::StatusCode::DATA_LOSS, "a bad row",
+                                    {"STORE_CORRUPT"})});
+  EXPECT_EQ(ExitCodeOf(Line({"group", "members", "depot"})), 79);
+  EXPECT_THAT(out_.str(), ContainsRegex("vehicles/a +-.*\nvehicles/b +-"));
+}
+
 TEST_F(GroupCommandTest, MemberIsRemovedByItsVehicle) {
   ASSERT_TRUE(Line({"group", "create", "depot"}).ok());
   ASSERT_TRUE(Line({"group", "add", "depot", "a"}).ok());

@@ -98,6 +98,20 @@ TEST_F(LinkCommandTest, ListHasAllPages) {
             "groups/depot/loopClosures/again\n");
 }
 
+TEST_F(LinkCommandTest, LinksBesideDamagedOnesAreListedAndDeleted) {
+  AddThree();
+  const std::vector<grpc::Status> damaged = {
+      grpc::Status::OK,
+      MakeStatus(grpc::StatusCode::DATA_LOSS, "a bad row", {"STORE_CORRUPT"})};
+  server_.FailUnaryCalls(damaged);
+  EXPECT_EQ(ExitCodeOf(Line({"link", "list", "depot"})), 79);
+  EXPECT_THAT(out_.str(), ContainsRegex("1 +b@310 +a@1072"));
+  server_.FailUnaryCalls(damaged);
+  EXPECT_EQ(ExitCodeOf(Line({"link", "delete", "depot", "c@1", "d@2"})), 79);
+  server_.FailUnaryCalls(damaged);
+  EXPECT_TRUE(Line({"link", "delete", "depot", "b@310", "a@1072"}).ok());
+}
+
 TEST_F(LinkCommandTest, LinkIsDeletedByItsEndsItsIdOrItsName) {
   AddThree();
   ASSERT_TRUE(Line({"link", "delete", "depot", "b@310", "a@1072"}).ok());
