@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "absl/status/status.h"
 #include "client/evaluation/evaluation.h"
 #include "client/evaluation/played_verifier.h"
 #include "client/evaluation/simulation.h"
@@ -95,8 +96,9 @@ struct EvaluateOptions {
   // stops.
   bool keep_vehicles = false;
   // Called with the server's address after everything has been printed, before
-  // a private server is stopped; may be empty.
-  std::function<void(const std::string&)> before_undoing;
+  // a private server is stopped; an error is that of the evaluation. May be
+  // empty.
+  std::function<absl::Status(const std::string&)> before_undoing;
   // Id of the vehicle, where only one is made. If empty, ids are made of the
   // drives' names, and unique.
   std::string vehicle;

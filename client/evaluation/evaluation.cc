@@ -23,7 +23,7 @@ bool SameCandidate(const CandidateAnswer& a, const CandidateAnswer& b) {
          a.threshold == b.threshold && a.p_value == b.p_value &&
          a.probability == b.probability && a.meters_before == b.meters_before &&
          a.meters_after == b.meters_after && a.opposite == b.opposite &&
-         a.confidence == b.confidence;
+         a.frame_state == b.frame_state && a.confidence == b.confidence;
 }
 
 // The answer without candidates in the asking recording; all of it where there

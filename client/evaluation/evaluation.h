@@ -80,6 +80,8 @@ struct CandidateAnswer {
   double meters_after = 0.0;
   // Whether the place was passed the other way.
   bool opposite = false;
+  // How the frames of the two nodes are tied, where the service has answered.
+  v1::FrameState frame_state = v1::FRAME_STATE_UNSPECIFIED;
   // The score of precision-recall curves, higher being surer: the probability
   // if there is one, otherwise the p-value of the gate.
   double confidence = 0.0;

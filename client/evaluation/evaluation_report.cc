@@ -106,10 +106,6 @@ std::vector<Row> RowsOf(const MethodResult& method) {
   return rows;
 }
 
-std::string OrDash(std::optional<double> value, int digits) {
-  return value.has_value() ? Fixed(*value, digits) : "-";
-}
-
 std::string OrDash(const std::optional<Interval>& interval) {
   return interval.has_value() ? absl::StrCat(Fixed(interval->low, 3), "-",
                                              Fixed(interval->high, 3))
@@ -119,9 +115,9 @@ std::string OrDash(const std::optional<Interval>& interval) {
 // A figure with its interval, where it has one.
 std::string WithInterval(std::optional<double> figure,
                          const std::optional<Interval>& interval) {
-  return interval.has_value() ? absl::StrCat(OrDash(figure, 3),
+  return interval.has_value() ? absl::StrCat(FigureText(figure, 3),
                                              " (95 %: ", OrDash(interval), ")")
-                              : OrDash(figure, 3);
+                              : FigureText(figure, 3);
 }
 
 std::string OutcomeOf(const JudgedCheck& check) {
@@ -133,22 +129,22 @@ using Fields = std::vector<std::pair<std::string, std::string>>;
 
 // Figures that do not depend on verdicts, and the work of a verifier.
 Fields RankingFields(const Tally& t) {
-  return {
-      {"top-1", absl::StrCat(OrDash(t.top1(), 3), ", ", t.top1_correct,
-                             " of the true loops (verdict aside)")},
-      {"recall@5",
-       absl::StrCat(OrDash(t.recall_at_5(), 3), ", ", t.top5_correct,
-                    " of the true loops (verdict aside)")},
-      {"recall p>=0.9",
-       absl::StrCat(OrDash(t.sure_recall(), 3), ", ", t.sure_correct,
-                    " of the true loops right and stated at ", Fixed(kSure, 1),
-                    " or more")},
-      {"verify/loop",
-       absl::StrCat(OrDash(t.to_verify_per_loop(), 2), ", ", t.to_verify,
-                    " accepted for the ", t.loops_found, " loops found")},
-      {"looks/loop", absl::StrCat(OrDash(t.looks_per_loop(), 2), ", ", t.looks,
-                                  " looks of ", Fixed(2.0 * kLookMeters, 0),
-                                  " m for the ", t.loops_seen, " loops seen")}};
+  return {{"top-1", absl::StrCat(FigureText(t.top1(), 3), ", ", t.top1_correct,
+                                 " of the true loops (verdict aside)")},
+          {"recall@5",
+           absl::StrCat(FigureText(t.recall_at_5(), 3), ", ", t.top5_correct,
+                        " of the true loops (verdict aside)")},
+          {"recall p>=0.9",
+           absl::StrCat(FigureText(t.sure_recall(), 3), ", ", t.sure_correct,
+                        " of the true loops right and stated at ",
+                        Fixed(kSure, 1), " or more")},
+          {"verify/loop", absl::StrCat(FigureText(t.to_verify_per_loop(), 2),
+                                       ", ", t.to_verify, " accepted for the ",
+                                       t.loops_found, " loops found")},
+          {"looks/loop",
+           absl::StrCat(FigureText(t.looks_per_loop(), 2), ", ", t.looks,
+                        " looks of ", Fixed(2.0 * kLookMeters, 0),
+                        " m for the ", t.loops_seen, " loops seen")}};
 }
 
 void PrintSummary(const Row& row, bool verified, bool recordings,
@@ -164,15 +160,15 @@ void PrintSummary(const Row& row, bool verified, bool recordings,
       {"recall", WithInterval(t.recall(), row.intervals.recall)},
       {"F1", WithInterval(t.f1(), row.intervals.f1)},
       {"in interval",
-       absl::StrCat("precision ", OrDash(t.interval_precision(), 3),
-                    ", recall ", OrDash(t.interval_recall(), 3), ": ",
+       absl::StrCat("precision ", FigureText(t.interval_precision(), 3),
+                    ", recall ", FigureText(t.interval_recall(), 3), ": ",
                     t.accepted_holding, " whose interval holds the place")}};
   for (auto& field : RankingFields(t)) fields.push_back(std::move(field));
   if (t.calibration_error().has_value()) {
     fields.push_back(
         {"ECE p>=0.1", WithInterval(t.positive_calibration_error(),
                                     row.intervals.positive_calibration_error)});
-    fields.push_back({"ECE", OrDash(t.calibration_error(), 3)});
+    fields.push_back({"ECE", FigureText(t.calibration_error(), 3)});
   }
   if (recordings) {
     fields.push_back(
@@ -180,22 +176,24 @@ void PrintSummary(const Row& row, bool verified, bool recordings,
                                    t.new_road_accepted, " accepted")});
   }
   if (recordings && verified) {
-    fields.push_back({"linked after",
-                      absl::StrCat(OrDash(row.linked_after_meters, 0), " m")});
+    fields.push_back(
+        {"linked after",
+         absl::StrCat(FigureText(row.linked_after_meters, 0), " m")});
   }
   if (verified) {
     fields.push_back({"verified", absl::StrCat(t.confirmed, " confirmed, ",
                                                t.rejected, " rejected")});
-    fields.push_back({"inflation at the end", OrDash(row.inflation, 2)});
+    fields.push_back({"inflation at the end", FigureText(row.inflation, 2)});
   }
   fields.push_back(
-      {"poses", absl::StrCat(t.poses, ", ", OrDash(t.poses_per_second(), 0),
+      {"poses", absl::StrCat(t.poses, ", ", FigureText(t.poses_per_second(), 0),
                              "/s with all checks")});
   if (t.jumps > 0) fields.push_back({"jumps", absl::StrCat(t.jumps)});
   fields.push_back(
       {"query time",
-       absl::StrCat("p50 ", OrDash(t.search_percentile(50.0), 2), " ms, p99 ",
-                    OrDash(t.search_percentile(99.0), 2), " ms")});
+       absl::StrCat("p50 ", FigureText(t.search_percentile(50.0), 2),
+                    " ms, p99 ", FigureText(t.search_percentile(99.0), 2),
+                    " ms")});
   PrintFields(fields, out);
 }
 
@@ -247,33 +245,33 @@ std::vector<std::string> CellsOf(const Report& report,
        {std::pair(t.precision(), row.intervals.precision),
         std::pair(t.recall(), row.intervals.recall),
         std::pair(t.f1(), row.intervals.f1)}) {
-    cells.push_back(OrDash(ratio, 3));
+    cells.push_back(FigureText(ratio, 3));
     cells.push_back(OrDash(interval));
   }
   for (const auto& ratio : {t.interval_precision(), t.interval_recall(),
                             t.top1(), t.recall_at_5(), t.sure_recall()}) {
-    cells.push_back(OrDash(ratio, 3));
+    cells.push_back(FigureText(ratio, 3));
   }
-  cells.push_back(OrDash(t.to_verify_per_loop(), 2));
-  cells.push_back(OrDash(t.looks_per_loop(), 2));
-  cells.push_back(OrDash(t.positive_calibration_error(), 3));
+  cells.push_back(FigureText(t.to_verify_per_loop(), 2));
+  cells.push_back(FigureText(t.looks_per_loop(), 2));
+  cells.push_back(FigureText(t.positive_calibration_error(), 3));
   cells.push_back(OrDash(row.intervals.positive_calibration_error));
-  cells.push_back(OrDash(t.calibration_error(), 3));
+  cells.push_back(FigureText(t.calibration_error(), 3));
   if (report.recordings) {
     cells.push_back(absl::StrCat(t.new_road_checks));
     cells.push_back(absl::StrCat(t.new_road_accepted));
   }
   if (report.recordings && report.verified) {
-    cells.push_back(OrDash(row.linked_after_meters, 0));
+    cells.push_back(FigureText(row.linked_after_meters, 0));
   }
   if (report.verified) {
     cells.push_back(absl::StrCat(t.confirmed));
     cells.push_back(absl::StrCat(t.rejected));
-    cells.push_back(OrDash(row.inflation, 2));
+    cells.push_back(FigureText(row.inflation, 2));
   }
-  cells.push_back(OrDash(t.poses_per_second(), 0));
-  cells.push_back(OrDash(t.search_percentile(50.0), 2));
-  cells.push_back(OrDash(t.search_percentile(99.0), 2));
+  cells.push_back(FigureText(t.poses_per_second(), 0));
+  cells.push_back(FigureText(t.search_percentile(50.0), 2));
+  cells.push_back(FigureText(t.search_percentile(99.0), 2));
   return cells;
 }
 
@@ -434,6 +432,10 @@ Json MethodJson(const MethodResult& method) {
 
 }  // namespace
 
+std::string FigureText(std::optional<double> value, int digits) {
+  return value.has_value() ? Fixed(*value, digits) : "-";
+}
+
 std::string NameAmong(const std::vector<MethodResult>& methods,
                       const MethodResult& method) {
   std::string name = method.method;
@@ -490,7 +492,7 @@ void PrintChecks(const DriveResult& result, std::ostream& out,
                                    : "end",
                   if_gated(best.squared_distance, 2),
                   if_gated(best.threshold, 2), if_gated(best.p_value, 4),
-                  OrDash(best.probability, 4), NameOf(best.verdict),
+                  FigureText(best.probability, 4), NameOf(best.verdict),
                   OutcomeOf(check)});
   }
   out << result.drive << ": the best candidate of each check\n";

@@ -48,6 +48,9 @@ std::string NameAmong(const std::vector<MethodResult>& methods,
 
 Tally TotalOf(const MethodResult& method);
 
+// The figure with this many digits after the point; a dash where there is none.
+std::string FigureText(std::optional<double> value, int digits);
+
 struct Report {
   // At least one, with the same drives in each.
   std::vector<MethodResult> methods;

@@ -337,11 +337,11 @@ absl::Status RunEvaluate(const EvaluateOptions& given,
   const std::shared_ptr<grpc::Channel>& channel = *made;
   const Client client(channel);
   undoing.SetClient(&client);
-  const absl::Status status = Evaluation(options, *std::move(cases), channel,
-                                         client, &undoing, terminal)
-                                  .Run();
+  absl::Status status = Evaluation(options, *std::move(cases), channel, client,
+                                   &undoing, terminal)
+                            .Run();
   if (status.ok() && options.before_undoing) {
-    options.before_undoing(options.server.value_or(server).address);
+    status = options.before_undoing(options.server.value_or(server).address);
   }
   const absl::Status undone = undoing.Undo();
   return status.ok() ? undone : status;

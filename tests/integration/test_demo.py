@@ -1,4 +1,5 @@
-"""revisit demo: the loops of the shipped drive, on a server of its own."""
+"""revisit demo: the loops of the shipped drive, on a server of its own, and its two
+days as two vehicles of one group."""
 
 import json
 import re
@@ -35,6 +36,23 @@ def test_demo_finds_the_loops_of_the_drive_and_draws_them(tmp_path):
     assert (tmp_path / "demo.svg").read_text().startswith("<svg")
 
 
+def test_demo_finds_day_one_from_day_two_as_another_vehicle(tmp_path):
+    shown = demo(tmp_path)
+    assert shown.returncode == 0, shown.stderr
+    # Checks, loops, accepted, right; precision, recall; the state of the frame.
+    rows = {name: ([int(count) for count in counts.split()], frame)
+            for name, counts, frame in re.findall(
+                r"^(before|after) +((?:\d+ +){4})[\d.]+ +[\d.]+ +(\S+)$",
+                shown.stdout, re.MULTILINE)}
+    (checks, loops, accepted, right), frame = rows["before"]
+    assert frame == "NONE"
+    assert loops > 140 and right > 0.8 * loops and right > 0.97 * accepted
+    (checks_after, loops_after, accepted, right_after), frame = rows["after"]
+    assert frame == "PROVISIONAL"
+    assert (checks_after, loops_after) == (checks, loops)
+    assert right_after > right and right_after > 0.97 * accepted
+
+
 def test_demo_draws_a_page_where_it_is_asked_to(tmp_path):
     shown = demo(tmp_path, "--map", "page.html")
     assert shown.returncode == 0, shown.stderr
@@ -65,6 +83,9 @@ def test_demo_keeps_its_server_until_it_is_interrupted(number, tmp_path):
         found = run("revisit", "--server", address, "find", "boreas")
         assert found.returncode == 0, found.stderr
         assert "ACCEPTED" in found.stdout
+        between = run("revisit", "--server", address, "find", "demo-day-2",
+                      "--group", "demo", "--exclude-own")
+        assert "vehicles/demo-day-1" in between.stdout, between.stderr
     finally:
         process.send_signal(number)
         assert process.wait(STOP_SECONDS) == 130

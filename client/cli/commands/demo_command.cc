@@ -10,6 +10,7 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/substitute.h"
+#include "client/cli/commands/demo_group.h"
 #include "client/cli/commands/vehicle_settings.h"
 #include "client/evaluation/evaluate_options.h"
 #include "client/evaluation/run_evaluation.h"
@@ -25,11 +26,13 @@ constexpr char kDrive[] =
     "of wheels and a\ngyroscope, with the covariance that goes with it. The "
     "server sees the estimate only.\n\n";
 
-// The address, the vehicle, and the path of this program.
+// The address, the vehicle, the path of this program, and the vehicle that
+// asks in a group with that group.
 constexpr char kHints[] =
     "\nAsk it yourself:\n\n"
     "  export REVISIT_SERVER=$0\n"
     "  $2 find $1\n"
+    "  $2 find $3 --group $4 --exclude-own\n"
     "  $2 map $1 --output $1.html\n"
     "  grpcurl -plaintext $0 list\n"
     "  grpcurl -plaintext $0 describe revisit.v1.Candidate\n"
@@ -76,11 +79,15 @@ absl::Status RunDemo(const DemoOptions& demo, const Terminal& terminal) {
   options.map = demo.map;
   options.vehicle = kVehicle;
   options.keep_vehicles = true;
-  options.before_undoing = [&](const std::string& address) {
-    if (terminal.json()) return;
+  options.before_undoing = [&](const std::string& address) -> absl::Status {
+    if (terminal.json()) return absl::OkStatus();
+    if (absl::Status status = RunDemoGroup(options, address, terminal);
+        !status.ok()) {
+      return status;
+    }
     terminal.out << "\nThe map is in " << demo.map << ".\n"
                  << absl::Substitute(kHints, address, kVehicle,
-                                     program.string())
+                                     program.string(), kDemoAsking, kDemoGroup)
                  << (demo.keep
                          ? "The server stays up until Ctrl-C.\n"
                          : "The server stops now; with --keep it stays up "
@@ -88,6 +95,7 @@ absl::Status RunDemo(const DemoOptions& demo, const Terminal& terminal) {
                  << std::flush;
     // The interrupt that ends this stops the server and ends the process.
     while (demo.keep) pause();
+    return absl::OkStatus();
   };
   if (!terminal.json()) terminal.out << *drive << "\n" << kDrive << std::flush;
   return RunEvaluate(options, terminal);
@@ -103,7 +111,9 @@ void AddDemoCommand(const Command& program) {
        "two days), asks every 50 m where the\nvehicle has been before, "
        "compares "
        "the answers with the truth as `revisit evaluate`\ndoes, and draws the "
-       "map. It takes some seconds.",
+       "map. Then the two days are two vehicles of one group, and the\nsecond "
+       "is asked where it is in the first, before and after a loop closure "
+       "between\nthem. It takes some seconds.",
        "  revisit demo\n"
        "  revisit demo --map demo.html --keep"});
   const auto options = std::make_shared<DemoOptions>();
@@ -112,7 +122,8 @@ void AddDemoCommand(const Command& program) {
       "Where to draw the map: a page for a browser if the name ends "
       "in .html, otherwise SVG (demo.svg)");
   command.AddSwitch("--keep", &options->keep,
-                    "Leave the server up, with the drive in it, until Ctrl-C");
+                    "Leave the server up, with the drive and the group in it, "
+                    "until Ctrl-C");
   command.RunsAlone([options](const Terminal& terminal) {
     return RunDemo(*options, terminal);
   });

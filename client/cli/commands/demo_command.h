@@ -6,7 +6,8 @@
 
 namespace revisit::client {
 
-// Evaluates the shipped drive on a private server and draws its map.
+// Evaluates the shipped drive on a private server, draws its map, and searches
+// with its days as two vehicles of one group.
 void AddDemoCommand(const Command& program);
 
 }  // namespace revisit::client

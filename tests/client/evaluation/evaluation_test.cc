@@ -341,6 +341,9 @@ TEST(EvaluationTest, AnswersAreTheSameButForTheirTime) {
   other.candidates[0].p_value = 1e-300;
   EXPECT_FALSE(SameAnswer(answer, other));
   other = answer;
+  other.candidates[0].frame_state = v1::FRAME_STATE_PROVISIONAL;
+  EXPECT_FALSE(SameAnswer(answer, other));
+  other = answer;
   other.candidates.clear();
   EXPECT_FALSE(SameAnswer(answer, other));
 }
