@@ -42,6 +42,7 @@
 #include <functional>
 #include <limits>
 #include <optional>
+#include <set>
 #include <string>
 #include <utility>
 #include <vector>
@@ -252,6 +253,11 @@ class Storage {
   // NOT_FOUND (VEHICLE_NOT_FOUND) if there is no such vehicle. Needs no owner,
   // as all reads.
   virtual absl::StatusOr<VehicleRecord> GetVehicle(const std::string& id) = 0;
+  // Those of these vehicles that there are, ordered by id, each as GetVehicle()
+  // has it. Costs few trips to the store, however many they are; it may be as
+  // of several moments.
+  virtual absl::StatusOr<std::vector<VehicleRecord>> GetVehicles(
+      const std::set<std::string>& ids) = 0;
   // The vehicles whose ids start with `prefix` and come after `after_id`,
   // ordered by id. Others are not read, so their damage does not matter.
   virtual absl::StatusOr<std::vector<VehicleRecord>> ListVehicles(

@@ -9,6 +9,7 @@
 #include <functional>
 #include <mutex>
 #include <optional>
+#include <set>
 #include <string>
 #include <utility>
 #include <vector>
@@ -209,6 +210,12 @@ class HeldStorage : public Storage {
     const absl::Status status = ReadStatus();
     if (!status.ok()) return status;
     return storage_->GetVehicle(id);
+  }
+  absl::StatusOr<std::vector<VehicleRecord>> GetVehicles(
+      const std::set<std::string>& ids) override {
+    const absl::Status status = ReadStatus();
+    if (!status.ok()) return status;
+    return storage_->GetVehicles(ids);
   }
   absl::StatusOr<std::vector<VehicleRecord>> ListVehicles(
       const std::string& after_id, const std::string& prefix,

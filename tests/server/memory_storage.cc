@@ -398,6 +398,16 @@ absl::StatusOr<VehicleRecord> MemoryStorage::GetVehicle(const std::string& id) {
   return UnknownVehicle();
 }
 
+absl::StatusOr<std::vector<VehicleRecord>> MemoryStorage::GetVehicles(
+    const std::set<std::string>& ids) {
+  std::vector<VehicleRecord> records;
+  for (const std::string& id : ids) {
+    absl::StatusOr<VehicleRecord> record = MemoryStorage::GetVehicle(id);
+    if (record.ok()) records.push_back(*std::move(record));
+  }
+  return records;
+}
+
 absl::StatusOr<std::vector<VehicleRecord>> MemoryStorage::ListVehicleRows(
     VehicleKey after_key, int limit) {
   const std::lock_guard<std::mutex> guard(mutex_);

@@ -11,6 +11,7 @@
 #include <map>
 #include <mutex>
 #include <optional>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -72,6 +73,8 @@ class MemoryStorage : public Storage {
   void DamageDeletedPair(const std::string& id);
 
   absl::StatusOr<VehicleRecord> GetVehicle(const std::string& id) override;
+  absl::StatusOr<std::vector<VehicleRecord>> GetVehicles(
+      const std::set<std::string>& ids) override;
   absl::StatusOr<std::vector<VehicleRecord>> ListVehicles(
       const std::string& after_id, const std::string& prefix,
       int limit) override;

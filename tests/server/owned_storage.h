@@ -7,6 +7,7 @@
 #include <map>
 #include <mutex>
 #include <optional>
+#include <set>
 #include <string>
 #include <utility>
 #include <vector>
@@ -228,6 +229,10 @@ class OwnedStorage : public Storage {
 
   absl::StatusOr<VehicleRecord> GetVehicle(const std::string& id) override {
     return storage_->GetVehicle(id);
+  }
+  absl::StatusOr<std::vector<VehicleRecord>> GetVehicles(
+      const std::set<std::string>& ids) override {
+    return storage_->GetVehicles(ids);
   }
   absl::StatusOr<std::vector<VehicleRecord>> ListVehicles(
       const std::string& after_id, const std::string& prefix,

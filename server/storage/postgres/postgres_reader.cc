@@ -35,6 +35,13 @@ absl::StatusOr<VehicleRecord> PostgresReader::GetVehicle(
   });
 }
 
+absl::StatusOr<std::vector<VehicleRecord>> PostgresReader::GetVehicles(
+    const std::set<std::string>& ids) {
+  return Read<std::vector<VehicleRecord>>([&](PostgresConnection& connection) {
+    return FindVehiclesOf(connection, ids);
+  });
+}
+
 absl::StatusOr<std::vector<VehicleRecord>> PostgresReader::ListVehicles(
     const std::string& after_id, const std::string& prefix, int limit) {
   return Read<std::vector<VehicleRecord>>([&](PostgresConnection& connection) {

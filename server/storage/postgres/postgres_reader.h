@@ -7,6 +7,7 @@
 #include <functional>
 #include <memory>
 #include <optional>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -32,6 +33,8 @@ absl::StatusOr<PostgresDatabase> LookAtDatabase(const std::string& conninfo);
 class PostgresReader : public Storage {
  public:
   absl::StatusOr<VehicleRecord> GetVehicle(const std::string& id) override;
+  absl::StatusOr<std::vector<VehicleRecord>> GetVehicles(
+      const std::set<std::string>& ids) override;
   absl::StatusOr<std::vector<VehicleRecord>> ListVehicles(
       const std::string& after_id, const std::string& prefix,
       int limit) override;

@@ -1,6 +1,7 @@
 #include "server/storage/postgres/postgres_reads.h"
 
 #include <algorithm>
+#include <cstddef>
 #include <optional>
 #include <utility>
 
@@ -13,6 +14,8 @@ namespace {
 
 // Batches that one statement reads.
 constexpr int kBatchesAtOnce = 64;
+// Vehicles that one statement reads, with their last batches.
+constexpr std::size_t kVehiclesAtOnce = 1000;
 
 // A vehicle with its head, its last batch and its counts, as of one moment.
 #define REVISIT_SELECT_VEHICLE                                           \
@@ -28,6 +31,9 @@ constexpr int kBatchesAtOnce = 64;
   "ORDER BY first_sequence DESC LIMIT 1) b ON true "
 constexpr Statement kFindVehicle = {
     "find_vehicle", REVISIT_SELECT_VEHICLE "WHERE v.id = $1::text"};
+constexpr Statement kFindVehiclesOf = {
+    "find_vehicles_of",
+    REVISIT_SELECT_VEHICLE "WHERE v.id = ANY($1::text[]) ORDER BY v.id"};
 constexpr Statement kFindVehicles = {
     "find_vehicles", REVISIT_SELECT_VEHICLE
     "WHERE v.id > $1::text AND v.id >= $2::text AND v.id < $3::text "
@@ -141,6 +147,11 @@ VehicleRecord VehicleAt(const PostgresRows& rows, int row) {
   return record;
 }
 
+void AddVehicles(const PostgresRows& rows,
+                 std::vector<VehicleRecord>* records) {
+  for (int i = 0; i < rows.size(); ++i) records->push_back(VehicleAt(rows, i));
+}
+
 // All reads of one moment.
 class Snapshot {
  public:
@@ -180,6 +191,22 @@ absl::StatusOr<VehicleRecord> FindVehicle(PostgresConnection& connection,
   return VehicleAt(*rows, 0);
 }
 
+absl::StatusOr<std::vector<VehicleRecord>> FindVehiclesOf(
+    PostgresConnection& connection, const std::set<std::string>& ids) {
+  std::vector<VehicleRecord> records;
+  for (auto id = ids.begin(); id != ids.end();) {
+    std::vector<const std::string*> some;
+    while (id != ids.end() && some.size() < kVehiclesAtOnce) {
+      some.push_back(&*id++);
+    }
+    const auto rows =
+        connection.Run(kFindVehiclesOf, Parameters().AddTexts(some));
+    if (!rows.ok()) return rows.status();
+    AddVehicles(*rows, &records);
+  }
+  return records;
+}
+
 absl::StatusOr<std::vector<VehicleRecord>> FindVehicles(
     PostgresConnection& connection, const std::string& after_id,
     const std::string& prefix, int limit) {
@@ -191,9 +218,7 @@ absl::StatusOr<std::vector<VehicleRecord>> FindVehicles(
                                         .Add(std::int64_t{std::max(limit, 0)}));
   if (!rows.ok()) return rows.status();
   std::vector<VehicleRecord> records;
-  for (int i = 0; i < rows->size(); ++i) {
-    records.push_back(VehicleAt(*rows, i));
-  }
+  AddVehicles(*rows, &records);
   return records;
 }
 

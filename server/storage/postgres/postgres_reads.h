@@ -7,6 +7,7 @@
 
 #include <cstdint>
 #include <functional>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -22,6 +23,9 @@ absl::StatusOr<std::string> VehicleId(PostgresConnection& connection,
                                       VehicleKey key);
 absl::StatusOr<VehicleRecord> FindVehicle(PostgresConnection& connection,
                                           const std::string& id);
+// Implements Storage::GetVehicles().
+absl::StatusOr<std::vector<VehicleRecord>> FindVehiclesOf(
+    PostgresConnection& connection, const std::set<std::string>& ids);
 absl::StatusOr<std::vector<VehicleRecord>> FindVehicles(
     PostgresConnection& connection, const std::string& after_id,
     const std::string& prefix, int limit);

@@ -20,6 +20,12 @@ absl::StatusOr<VehicleRecord> SqliteReader::GetVehicle(const std::string& id) {
       [&](SqliteDatabase& database) { return FindVehicle(database, id); });
 }
 
+absl::StatusOr<std::vector<VehicleRecord>> SqliteReader::GetVehicles(
+    const std::set<std::string>& ids) {
+  return Read<std::vector<VehicleRecord>>(
+      [&](SqliteDatabase& database) { return FindVehiclesOf(database, ids); });
+}
+
 absl::StatusOr<std::vector<VehicleRecord>> SqliteReader::ListVehicles(
     const std::string& after_id, const std::string& prefix, int limit) {
   return Read<std::vector<VehicleRecord>>([&](SqliteDatabase& database) {

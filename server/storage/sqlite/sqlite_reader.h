@@ -7,6 +7,7 @@
 #include <functional>
 #include <memory>
 #include <optional>
+#include <set>
 #include <string>
 #include <utility>
 #include <vector>
@@ -25,6 +26,8 @@ namespace revisit::server {
 class SqliteReader : public Storage {
  public:
   absl::StatusOr<VehicleRecord> GetVehicle(const std::string& id) override;
+  absl::StatusOr<std::vector<VehicleRecord>> GetVehicles(
+      const std::set<std::string>& ids) override;
   absl::StatusOr<std::vector<VehicleRecord>> ListVehicles(
       const std::string& after_id, const std::string& prefix,
       int limit) override;

@@ -103,6 +103,21 @@ absl::StatusOr<VehicleRecord> FindVehicle(SqliteDatabase& database,
   return record;
 }
 
+// One after the other, since no trip to another machine is saved.
+absl::StatusOr<std::vector<VehicleRecord>> FindVehiclesOf(
+    SqliteDatabase& database, const std::set<std::string>& ids) {
+  std::vector<VehicleRecord> records;
+  for (const std::string& id : ids) {
+    absl::StatusOr<VehicleRecord> record = FindVehicle(database, id);
+    if (record.ok()) {
+      records.push_back(*std::move(record));
+    } else if (!absl::IsNotFound(record.status())) {
+      return record.status();
+    }
+  }
+  return records;
+}
+
 absl::StatusOr<std::vector<VehicleRecord>> FindVehicles(
     SqliteDatabase& database, const std::string& after_id,
     const std::string& prefix, int limit) {

@@ -12,6 +12,7 @@
 
 #include <cstdint>
 #include <optional>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -28,6 +29,9 @@ absl::StatusOr<std::string> VehicleId(SqliteDatabase& database, VehicleKey key);
 
 absl::StatusOr<VehicleRecord> FindVehicle(SqliteDatabase& database,
                                           const std::string& id);
+// Implements Storage::GetVehicles().
+absl::StatusOr<std::vector<VehicleRecord>> FindVehiclesOf(
+    SqliteDatabase& database, const std::set<std::string>& ids);
 // Implements Storage::ListVehicles().
 absl::StatusOr<std::vector<VehicleRecord>> FindVehicles(
     SqliteDatabase& database, const std::string& after_id,

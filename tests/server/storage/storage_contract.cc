@@ -6,6 +6,8 @@
 #include <mutex>
 #include <optional>
 #include <random>
+#include <set>
+#include <string>
 #include <thread>
 #include <utility>
 #include <vector>
@@ -122,6 +124,49 @@ TEST_P(StorageContract, ListsVehiclesByIdInPages) {
   EXPECT_THAT(ids("", 10, "b-"), ElementsAre("b-1"));
   EXPECT_THAT(ids("c", 10, "b"), IsEmpty());
   EXPECT_THAT(ids("", 10, "bb"), IsEmpty());
+}
+
+TEST_P(StorageContract, ReadsManyVehiclesAsItReadsEach) {
+  std::map<std::string, VehicleKey> keys;
+  for (const char* id : {"c", "a", "b10", "b", "B", "none of them"}) {
+    keys[id] = *write().Create(id, std::string("payload of ") + id);
+  }
+  ASSERT_THAT(write().Append(keys["a"], Batch(1, 3, 2, "x")), IsOk());
+  ASSERT_THAT(write().Append(keys["b"], Batch(1, 2, 2, "y")), IsOk());
+  ASSERT_THAT(write().Append(keys["b"], Batch(3, 2, 5, "z")), IsOk());
+  ASSERT_THAT(write().PutChecks(keys["b"], Step({}, 2, {}, {})), IsOk());
+  for (const PairKind kind : kPairKinds) {
+    ASSERT_THAT(write().AddPair(keys["b"], kind, {"pair", 2, 1, 0}, 7), IsOk());
+  }
+  ASSERT_THAT(write().Delete(keys["b10"]), IsOk());
+  store_->Reopen();
+  const auto records =
+      storage().GetVehicles({"c", "nobody", "b", "a", "b10", "B", "b1"});
+  ASSERT_THAT(records, IsOk());
+  std::vector<std::string> alone;
+  for (const char* id : {"B", "a", "b", "c"}) {
+    alone.push_back(ToText(*storage().GetVehicle(id)));
+  }
+  EXPECT_EQ(ToTexts(*records), alone);
+  EXPECT_EQ((*records)[2].checks, (ChecksHead{true, 2, 0}));
+  for (const VehicleRecord& record : *records) {
+    EXPECT_THAT(record.damage, IsOk());
+  }
+}
+
+TEST_P(StorageContract, ReadsAnyNumberOfVehicles) {
+  EXPECT_THAT(*storage().GetVehicles({}), IsEmpty());
+  std::set<std::string> ids;
+  for (int i = 1000; i < 3500; ++i) ids.insert("v" + std::to_string(i));
+  EXPECT_THAT(*storage().GetVehicles(ids), IsEmpty());
+  const std::vector<std::string> there = {"v1000", "v1999", "v2000",
+                                          "v2999", "v3000", "v3499"};
+  for (const std::string& id : there) ASSERT_THAT(write().Create(id), IsOk());
+  const auto records = storage().GetVehicles(ids);
+  ASSERT_THAT(records, IsOk());
+  std::vector<std::string> found;
+  for (const VehicleRecord& record : *records) found.push_back(record.id);
+  EXPECT_EQ(found, there);
 }
 
 TEST_P(StorageContract, ListsRowsOfVehiclesByKeyInPages) {

@@ -513,6 +513,11 @@ TEST_F(PostgresStorageTest, FindsDamageAndKeepsItToItsVehicle) {
   EXPECT_THAT(ReadAll(*storage, key, 1, 3), lost);
   EXPECT_THAT(ReadAll(*storage, key, 1, 2), IsOk());
   EXPECT_THAT(storage->GetVehicle("other")->damage, IsOk());
+  const auto both = storage->GetVehicles({"other", "truck"});
+  ASSERT_THAT(both, IsOk());
+  ASSERT_EQ(both->size(), 2u);
+  EXPECT_THAT((*both)[0].damage, IsOk());
+  EXPECT_THAT((*both)[1].damage, lost);
   const auto report = CheckDatabase(conninfo_);
   ASSERT_THAT(report, IsOk());
   EXPECT_THAT(report->damaged_vehicles, ElementsAre("truck"));

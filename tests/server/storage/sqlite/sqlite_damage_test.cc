@@ -133,6 +133,11 @@ TEST_F(SqliteStorageTest, FindsDamageOfVehicle) {
     EXPECT_EQ((*listed)[0].key, sound);
     EXPECT_THAT((*listed)[0].damage, IsOk());
     EXPECT_THAT((*listed)[1].damage, corrupt);
+    const auto both = storage->GetVehicles({"sound", "truck"});
+    ASSERT_THAT(both, IsOk());
+    ASSERT_EQ(both->size(), 2u);
+    EXPECT_THAT((*both)[0].damage, IsOk());
+    EXPECT_THAT((*both)[1].damage, corrupt);
     BlockingWrites write(storage.get());
     EXPECT_THAT(write.Delete(record->key), IsOk());
     const absl::StatusOr<VehicleKey> again = write.Create("truck");
