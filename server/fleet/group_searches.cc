@@ -54,7 +54,7 @@ struct Preparation {
   std::function<void(absl::StatusOr<GroupScope>)> then;
   std::shared_ptr<const StoredGroup> group;
   // Of the members that the caller may read, by their ids.
-  std::vector<std::shared_ptr<HistoryKeeper>> keepers;
+  HistoryKeeper::Keepers keepers;
   std::vector<const GroupMemberRecord*> members;
   std::atomic<std::size_t> left{0};
 };
@@ -101,7 +101,7 @@ struct GroupSearches::State {
     const auto arrived = [this, search, hold = tasks.Begin()] {
       if (--search->left == 0) tasks.Post([this, search] { End(search); });
     };
-    for (const auto& keeper : search->keepers) keeper->Refresh(arrived);
+    HistoryKeeper::RefreshAll(shared, search->keepers, arrived);
     arrived();
   }
 

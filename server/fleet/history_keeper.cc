@@ -1,5 +1,8 @@
 #include "server/fleet/history_keeper.h"
 
+#include <map>
+#include <set>
+
 #include "server/storage/storage.h"
 
 namespace revisit::server {
@@ -32,18 +35,48 @@ HistoryKeeper::Clock::time_point HistoryKeeper::last_asked() const {
   return last_asked_;
 }
 
-void HistoryKeeper::Refresh(std::function<void()> then) {
+void HistoryKeeper::RefreshAll(const Shared& shared, const Keepers& keepers,
+                               const std::function<void()>& then) {
+  Keepers looking;
+  for (const auto& keeper : keepers) {
+    if (!keeper->BeginRefresh(then) || keeper->AskSession()) continue;
+    looking.push_back(keeper);
+  }
+  if (!looking.empty()) LookAtStore(shared, looking);
+}
+
+void HistoryKeeper::LookAtStore(const Shared& shared, const Keepers& keepers) {
+  std::set<std::string> ids;
+  for (const auto& keeper : keepers) ids.insert(keeper->vehicle_.id);
+  const auto asked = Clock::now();
+  const absl::StatusOr<std::vector<VehicleRecord>> records =
+      shared.storage->GetVehicles(ids);
+  std::map<std::string, const VehicleRecord*> rows;
+  if (records.ok()) {
+    for (const VehicleRecord& record : *records) rows[record.id] = &record;
+  }
+  for (const auto& keeper : keepers) {
+    const auto row = rows.find(keeper->vehicle_.id);
+    if (!records.ok()) {
+      keeper->Finish();
+    } else if (row == rows.end()) {
+      keeper->FinishWithoutRow();
+    } else if (!keeper->FinishWith(*row->second, asked)) {
+      shared.tasks->Post([keeper, record = *row->second, asked] {
+        keeper->FollowInTurn(record, asked);
+      });
+    }
+  }
+}
+
+bool HistoryKeeper::BeginRefresh(const std::function<void()>& then) {
   if (NoteAsked(Clock::now())) {
     then();
-    return;
+    return false;
   }
-  {
-    const MutexLock lock(&mutex_);
-    waiting_.push_back(std::move(then));
-    if (is_working_) return;
-    is_working_ = true;
-  }
-  shared_->tasks->Post([self = shared_from_this()] { self->Look(); });
+  const MutexLock lock(&mutex_);
+  waiting_.push_back(then);
+  return !std::exchange(is_working_, true);
 }
 
 bool HistoryKeeper::NoteAsked(Clock::time_point now) {
@@ -53,7 +86,7 @@ bool HistoryKeeper::NoteAsked(Clock::time_point now) {
          state_.absence != Absence::kNotReady;
 }
 
-void HistoryKeeper::Look() {
+bool HistoryKeeper::AskSession() {
   const std::shared_ptr<VehicleSession> session =
       shared_->fleet->SessionIfLoaded(vehicle_.id);
   const bool is_here = session != nullptr && !session->gone();
@@ -61,12 +94,14 @@ void HistoryKeeper::Look() {
     session->LongRead(
         [self = shared_from_this(), hold = shared_->tasks->Begin()](
             const absl::StatusOr<VehicleView>& view) { self->TakeView(view); });
-  } else if (is_here && state().history == nullptr) {
+    return true;
+  }
+  if (is_here && state().history == nullptr) {
     // What it is loaded for need not be done twice.
     Finish();
-  } else {
-    LookAtStore();
+    return true;
   }
+  return false;
 }
 
 void HistoryKeeper::TakeView(const absl::StatusOr<VehicleView>& view) {
@@ -103,23 +138,48 @@ void HistoryKeeper::LookAtStore() {
   const absl::StatusOr<VehicleRecord> record =
       shared_->storage->GetVehicle(vehicle_.id);
   if (absl::IsNotFound(record.status())) {
-    follower_.reset();
-    SetBytes(0);
-    Lack(Absence::kGone);
+    FinishWithoutRow();
+  } else if (!record.ok()) {
     Finish();
-  } else if (!record.ok() || shared_->tasks->is_ending() ||
-             damaged_ == std::pair(record->key, record->revision)) {
-    Finish();
-  } else if (IsOf(*record)) {
-    const HistoryState known = state();
-    if (follower_ == nullptr) SetBytes(BytesOf(*known.history->view));
-    Know(known.history, asked);
-    Finish();
-  } else if (refused_bytes_ > 0 && !shared_->room->Holds(refused_bytes_)) {
-    Lack(Absence::kMemory);
-    Finish();
-  } else {
+  } else if (!FinishWith(*record, asked)) {
     Follow(*record, asked);
+  }
+}
+
+void HistoryKeeper::FinishWithoutRow() {
+  follower_.reset();
+  SetBytes(0);
+  Lack(Absence::kGone);
+  Finish();
+}
+
+bool HistoryKeeper::FinishWith(const VehicleRecord& record,
+                               Clock::time_point asked) {
+  const bool is_known_damage =
+      damaged_ == std::pair(record.key, record.revision);
+  if (!is_known_damage && !shared_->tasks->is_ending()) {
+    if (IsOf(record)) {
+      const HistoryState known = state();
+      if (follower_ == nullptr) SetBytes(BytesOf(*known.history->view));
+      Know(known.history, asked);
+    } else if (refused_bytes_ > 0 && !shared_->room->Holds(refused_bytes_)) {
+      Lack(Absence::kMemory);
+    } else {
+      return false;
+    }
+  }
+  Finish();
+  return true;
+}
+
+// What was written since the row was read may be among the poses that come with
+// it, so a row must not get old.
+void HistoryKeeper::FollowInTurn(const VehicleRecord& record,
+                                 Clock::time_point asked) {
+  if (Clock::now() - asked < kFreshHistory) {
+    Follow(record, asked);
+  } else {
+    LookAtStore();
   }
 }
 

@@ -35,6 +35,7 @@ inline constexpr std::chrono::seconds kFreshHistory{1};
 class HistoryKeeper : public std::enable_shared_from_this<HistoryKeeper> {
  public:
   using Clock = std::chrono::steady_clock;
+  using Keepers = std::vector<std::shared_ptr<HistoryKeeper>>;
 
   // What all keepers share; must outlive them.
   struct Shared {
@@ -55,11 +56,13 @@ class HistoryKeeper : public std::enable_shared_from_this<HistoryKeeper> {
   HistoryKeeper(const HistoryKeeper&) = delete;
   HistoryKeeper& operator=(const HistoryKeeper&) = delete;
 
-  // Sees to it that the history is no older than kFreshHistory, and calls
-  // `then`: at once, or on a thread that must not be made to wait. Where the
-  // history has to be made from the store, that goes on behind `then`, and
-  // state() is what there was before.
-  void Refresh(std::function<void()> then);
+  // Sees to it that these histories are no older than kFreshHistory, and calls
+  // `then` for each: at once, or on a thread that must not be made to wait.
+  // Waits for the rows of those that are looked for in the store, which are
+  // read together. Where a history has to be made from the store, that goes on
+  // behind `then`, and state() is what there was before.
+  static void RefreshAll(const Shared& shared, const Keepers& keepers,
+                         const std::function<void()>& then);
 
   HistoryState state() const ABSL_LOCKS_EXCLUDED(mutex_);
   Clock::time_point last_asked() const ABSL_LOCKS_EXCLUDED(mutex_);
@@ -69,15 +72,27 @@ class HistoryKeeper : public std::enable_shared_from_this<HistoryKeeper> {
   std::int64_t bytes() const { return bytes_.load(); }
 
  private:
+  // Whether a refresh begins with this, at whose end `then` is called.
+  bool BeginRefresh(const std::function<void()>& then)
+      ABSL_LOCKS_EXCLUDED(mutex_);
   // Whether the history may be used as it is.
   bool NoteAsked(Clock::time_point now) ABSL_LOCKS_EXCLUDED(mutex_);
   // A part of one refresh after the other; there is one at a time.
-  void Look();
-  void LookAtStore();
+
+  // Returns whether the session answers; else the store has to be looked at.
+  bool AskSession();
   void TakeView(const absl::StatusOr<VehicleView>& view);
+  static void LookAtStore(const Shared& shared, const Keepers& keepers);
+  void LookAtStore();
+  // Ends the refresh, and returns true, unless the row, read after `asked`, has
+  // to be followed.
+  bool FinishWith(const VehicleRecord& record, Clock::time_point asked);
+  void FinishWithoutRow();
   // Whether the history is that of the row as it is now.
   bool IsOf(const VehicleRecord& record) const;
   void Follow(const VehicleRecord& record, Clock::time_point asked);
+  // The same after a wait for a thread.
+  void FollowInTurn(const VehicleRecord& record, Clock::time_point asked);
   // Whether what is followed has room.
   bool HasRoom();
 
