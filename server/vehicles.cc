@@ -70,8 +70,14 @@ Fleet::Options FleetOptionsOf(const ServerSettings& settings,
   options.snapshots.warn = [log](const std::string& message) {
     log->Write(LogLevel::kWarning, "snapshot", {{"message", message}});
   };
-  options.report_drop = [log](const RetentionMonitor::Drop& drop) {
+  options.retention.drop = [log](const RetentionMonitor::Drop& drop) {
     LogDrop(*log, drop);
+  };
+  options.retention.withheld = [log](const std::string& vehicle_id,
+                                     const absl::Status& status) {
+    log->Write(
+        LogLevel::kWarning, "poses_kept",
+        {{"vehicle", vehicle_id}, {"message", std::string(status.message())}});
   };
   return options;
 }

@@ -332,12 +332,8 @@ void Drive::Impl::RebuildMotionHistory() {
 
 std::optional<std::pair<NodeIndex, NodeIndex>> Drive::Impl::LoopEdge(
     std::uint64_t query_sequence, std::uint64_t matched_sequence) const {
-  if (dropped.Contains(query_sequence) || dropped.Contains(matched_sequence)) {
-    return std::nullopt;
-  }
-  const std::optional<NodeIndex> query = graph.NodeAtOrBefore(query_sequence);
-  const std::optional<NodeIndex> matched =
-      graph.NodeAtOrBefore(matched_sequence);
+  const auto query = NodeOf(graph, dropped, query_sequence);
+  const auto matched = NodeOf(graph, dropped, matched_sequence);
   if (!query || !matched || *query == *matched) return std::nullopt;
   return std::make_pair(*query, *matched);
 }
@@ -672,12 +668,12 @@ FrameRelations Drive::RelationsAt(NodeIndex query) const {
 
 std::shared_ptr<const DriveView> Drive::View(double shown_scale) const {
   const DriveSettings& settings = impl_->settings;
-  return std::make_shared<const DriveView>(
-      DriveView{settings.state_space, settings.node_spacing_meters,
-                CorrelationOf(settings.search),
-                shown_scale * SimilarityOf(settings.search).inflation,
-                impl_->graph, impl_->motion_history, impl_->block_bounds,
-                impl_->recordings, LoopsAt(impl_->graph.size() - 1)});
+  return std::make_shared<const DriveView>(DriveView{
+      settings.state_space, settings.node_spacing_meters,
+      CorrelationOf(settings.search),
+      shown_scale * SimilarityOf(settings.search).inflation, impl_->graph,
+      impl_->motion_history, impl_->block_bounds, impl_->recordings,
+      LoopsAt(impl_->graph.size() - 1), impl_->dropped});
 }
 
 FrameRelations Drive::RelationsWithoutLoops(NodeIndex query) const {

@@ -10,6 +10,7 @@
 
 #include "core/drive/block_bounds.h"
 #include "core/drive/confirmed_loop.h"
+#include "core/drive/dropped_stretch.h"
 #include "core/drive/frame_relation.h"
 #include "core/drive/motion_history.h"
 #include "core/drive/pose_graph.h"
@@ -33,6 +34,8 @@ struct DriveView {
   Recordings recordings;
   // The confirmed loops, in the order in which they came.
   std::vector<ConfirmedLoop> loops;
+  // The poses that the graph lacks.
+  DroppedStretches dropped;
 
   // The view must outlive them.
   FrameNodes nodes() const { return {graph, state_space, correlation, scale}; }

@@ -5,6 +5,7 @@
 #include <iterator>
 #include <limits>
 
+#include "core/drive/pose_graph.h"
 #include "core/geometry/state_matrix.h"
 
 namespace revisit::core {
@@ -112,6 +113,13 @@ bool DroppedStretches::Load(NodeIndex nodes, std::uint64_t last_sequence,
     before = gap;
   }
   return true;
+}
+
+std::optional<NodeIndex> NodeOf(const PoseGraph& graph,
+                                const DroppedStretches& dropped,
+                                std::uint64_t sequence) {
+  if (dropped.Contains(sequence)) return std::nullopt;
+  return graph.NodeAtOrBefore(sequence);
 }
 
 }  // namespace revisit::core

@@ -14,6 +14,8 @@
 
 namespace revisit::core {
 
+class PoseGraph;
+
 struct DroppedStretch {
   std::uint64_t first_sequence = 0;
   std::uint64_t last_sequence = 0;
@@ -99,6 +101,13 @@ class DroppedStretches {
   std::vector<Gap> gaps_;
   std::uint64_t count_ = 0;
 };
+
+// The last node at or before a pose; none for a pose that was dropped, since a
+// node before the gap lies elsewhere, and none before the first node. REQUIRES:
+// the stretches are those that the graph lacks.
+std::optional<NodeIndex> NodeOf(const PoseGraph& graph,
+                                const DroppedStretches& dropped,
+                                std::uint64_t sequence);
 
 }  // namespace revisit::core
 

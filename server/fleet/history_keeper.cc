@@ -14,7 +14,8 @@ constexpr std::chrono::milliseconds kFollowSlice{20};
 std::int64_t BytesOf(const core::DriveView& view) {
   return static_cast<std::int64_t>(
       view.graph.bytes() + view.motion_history.bytes() +
-      view.block_bounds.bytes() + view.recordings.bytes());
+      view.block_bounds.bytes() + view.recordings.bytes() +
+      view.dropped.bytes());
 }
 
 }  // namespace

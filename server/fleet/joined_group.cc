@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "core/drive/confirmed_loop.h"
+#include "core/drive/dropped_stretch.h"
 #include "core/drive/measured_loop.h"
 #include "server/fleet/fix_datums.h"
 #include "server/records/group_content.h"
@@ -114,11 +115,12 @@ class Joining {
     return link;
   }
 
-  // Nothing for a pose that the history does not have yet.
+  // Nothing for a pose that the history does not have yet, or does not keep.
   static std::optional<core::NodeIndex> NodeAt(const KnownHistory& history,
                                                std::uint64_t sequence) {
     if (sequence > history.last_sequence) return std::nullopt;
-    return history.view->graph.NodeAtOrBefore(sequence);
+    const core::DriveView& view = *history.view;
+    return core::NodeOf(view.graph, view.dropped, sequence);
   }
 
   const StoredGroup& group_;

@@ -30,7 +30,8 @@ struct JoinedGroup {
 using PoseReader = std::function<std::optional<core::PoseEstimate>(
     const KnownHistory& history, std::uint64_t sequence)>;
 
-// REQUIRES: the histories are of members, by the vehicles' ids.
+// Links that name a pose which a history does not have, or has dropped, tie
+// nothing. REQUIRES: the histories are of members, by the vehicles' ids.
 std::shared_ptr<const JoinedGroup> JoinGroup(
     std::shared_ptr<const StoredGroup> group,
     std::vector<std::shared_ptr<const KnownHistory>> histories,

@@ -36,8 +36,10 @@ absl::StatusOr<GroupEdit> EditToAddMember(GroupStorage* groups,
 // (LOOP_CLOSURE_EXISTS); GROUP_LIMIT; and those of CheckPoseIsStored().
 //
 // A pose that its vehicle's owner drops at this very moment may come to be
-// linked: the owner looks at the links before it drops poses, and no server
-// holds the other up.
+// linked: the owner looks at the links before it drops poses (pose_dropper.h),
+// a link is added after its poses were looked at, and no server holds the other
+// up, for which each link would have to lock the rows of two vehicles. Such a
+// link ties nothing (server/fleet/joined_group.h).
 absl::StatusOr<GroupEdit> EditToAddLink(
     Storage* storage, const RecordCodec& codec, const GroupRecord& group,
     const NewLink& wanted, std::int64_t now_ns, const GroupLimits& limits,

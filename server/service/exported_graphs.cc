@@ -82,12 +82,8 @@ class GraphAsSent {
     core::PoseGraph& graph = exported_->graph;
     const core::DroppedStretches& dropped = view_.drive.dropped();
     for (const auto& [id, pair] : *view_.loop_closures) {
-      if (dropped.Contains(pair.query_sequence) ||
-          dropped.Contains(pair.matched_sequence)) {
-        continue;
-      }
-      const auto query = graph.NodeAtOrBefore(pair.query_sequence);
-      const auto matched = graph.NodeAtOrBefore(pair.matched_sequence);
+      const auto query = core::NodeOf(graph, dropped, pair.query_sequence);
+      const auto matched = core::NodeOf(graph, dropped, pair.matched_sequence);
       if (query && matched && *query != *matched) {
         graph.AddLoopEdge(*query, *matched);
       }

@@ -55,8 +55,8 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
         codec(fleet_codec),
         lanes(fleet_lanes),
         options(fleet_options),
-        retention(
-            std::make_shared<RetentionMonitor>(fleet_options.report_drop)) {}
+        retention(std::make_shared<RetentionMonitor>(fleet_options.retention)) {
+  }
 
   std::shared_ptr<VehicleSession> Session(const std::string& id)
       ABSL_LOCKS_EXCLUDED(mutex) {

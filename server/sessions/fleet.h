@@ -58,8 +58,7 @@ class Fleet {
     std::optional<std::int64_t> memory_budget_bytes;
     VehicleSession::Limits session;
     SnapshotPolicy snapshots;
-    // Called with every drop of poses; may be empty.
-    std::function<void(const RetentionMonitor::Drop&)> report_drop;
+    RetentionMonitor::Reports retention;
     // Counts the vehicles; may be null.
     std::shared_ptr<VehicleCensus> census;
     // Against which the stamps of poses are held.

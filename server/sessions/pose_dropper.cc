@@ -6,8 +6,10 @@
 #include <utility>
 #include <vector>
 
+#include "core/drive/dropped_stretch.h"
 #include "core/drive/node_range.h"
 #include "core/drive/pose_graph.h"
+#include "server/sessions/linked_poses.h"
 #include "server/sessions/server_clock.h"
 #include "server/storage/storage.h"
 
@@ -143,27 +145,45 @@ void PoseDropper::FindRanges() {
   work_ = std::make_unique<Work>();
   work_->start = std::chrono::steady_clock::now();
   work_->dropped_before = drive.dropped().count();
+  const std::unique_ptr<core::DroppableSearch> search = std::move(search_);
+  absl::StatusOr<std::vector<std::uint64_t>> linked =
+      ReadLinkedPoses(&vehicle_->storage->Groups(), vehicle_->head.key());
+  if (!linked.ok()) {
+    monitor_->Withheld(vehicle_->id, linked.status());
+    return;
+  }
   core::NodeIndex nodes = 0;
   std::vector<core::NodeRange> found;
-  for (const core::NodeRange& range : search_->Droppable(drive.LoopEnds())) {
+  for (const core::NodeRange& range : search->Droppable(LoopEnds(*linked))) {
     const core::SequenceRange sequences = core::SequencesOf(graph, range);
     if (sequences.first > sequences.last) continue;
     work_->ranges.push_back(sequences);
     found.push_back(range);
     nodes += range.last - range.first;
   }
-  work_->nodes_too_old = search_->CountTooOld(found);
+  work_->nodes_too_old = search->CountTooOld(found);
   work_->nodes_covered = nodes - work_->nodes_too_old;
-  search_.reset();
   if (static_cast<double>(nodes) <
       kLeastShare * static_cast<double>(graph.size())) {
     work_->ranges.clear();
   }
+  work_->referred = *std::move(linked);
   for (const auto& [id, closure] : vehicle_->pairs.loop_closures()) {
     work_->referred.push_back(closure.query_sequence);
     work_->referred.push_back(closure.matched_sequence);
   }
   std::sort(work_->referred.begin(), work_->referred.end());
+}
+
+std::vector<core::NodeIndex> PoseDropper::LoopEnds(
+    const std::vector<std::uint64_t>& linked) const {
+  const core::Drive& drive = *vehicle_->loaded;
+  std::vector<core::NodeIndex> ends = drive.LoopEnds();
+  for (const std::uint64_t sequence : linked) {
+    const auto node = core::NodeOf(drive.graph(), drive.dropped(), sequence);
+    if (node) ends.push_back(*node);
+  }
+  return ends;
 }
 
 void PoseDropper::Step() {

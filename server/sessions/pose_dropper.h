@@ -35,13 +35,19 @@ namespace revisit::server {
 // it began with, it begins anew.
 //
 // Whole rows of the store are dropped, and none that holds a pose to which a
-// loop closure refers; a long row that is to go in part is divided before. The
-// stretches that are dropped become one row each, a part at a time, each of
-// which leaves a sound store; then the graph is made anew by the replay of a
-// load, so it is the one that a load makes.
+// loop closure refers, of the vehicle or of a group (linked_poses.h); a long
+// row that is to go in part is divided before. The stretches that are dropped
+// become one row each, a part at a time, each of which leaves a sound store;
+// then the graph is made anew by the replay of a load, so it is the one that a
+// load makes.
 //
 // While checks are owed that are to be stored, nothing is dropped: they need
 // the poses.
+//
+// The loop closures of groups are read right before poses are dropped. Where
+// they cannot be read, or one is damaged, nothing is dropped, since a pose that
+// is gone does not come back: once the damaged one is deleted, the next look
+// drops. One that comes to the group while poses are dropped may come too late.
 //
 // Stamps that are too far ahead of the server's clock do not count
 // (server_clock.h).
@@ -83,7 +89,7 @@ class PoseDropper {
   };
   struct Work {
     std::vector<core::SequenceRange> ranges;
-    // The poses of loop closures, sorted.
+    // The poses of loop closures, also of groups, sorted.
     std::vector<std::uint64_t> referred;
     std::size_t range = 0;
     // The next row of the range begins here; 0 before its first row.
@@ -110,7 +116,11 @@ class PoseDropper {
   void BeginAnew();
   void End();
   void Drop(const absl::Status& status);
+  // Sets Work::ranges; to none where nothing is to go.
   void FindRanges();
+  // The ends of all loops, with the poses of those of groups.
+  std::vector<core::NodeIndex> LoopEnds(
+      const std::vector<std::uint64_t>& linked) const;
   void Step();
   // Reads rows until one is to be written, or for a slice of time. Returns
   // whether all are read.

@@ -10,6 +10,7 @@
 #include <string>
 #include <utility>
 
+#include "absl/status/status.h"
 #include "server/base/histogram.h"
 
 namespace revisit::server {
@@ -41,9 +42,16 @@ class RetentionMonitor {
     HistogramCounts seconds;
   };
 
-  // `report` is called with every drop, on the vehicle's strand; may be empty.
-  explicit RetentionMonitor(std::function<void(const Drop&)> report)
-      : report_(std::move(report)) {}
+  // What is called on the vehicle's strand; each may be empty.
+  struct Reports {
+    std::function<void(const Drop&)> drop;
+    // Nothing was dropped of a vehicle, since nobody knows which of its poses
+    // loop closures of groups need.
+    std::function<void(const std::string& vehicle_id, const absl::Status&)>
+        withheld;
+  };
+
+  explicit RetentionMonitor(Reports reports) : reports_(std::move(reports)) {}
 
   void Began() { ++vehicles_; }
   void Ended() { --vehicles_; }
@@ -52,7 +60,11 @@ class RetentionMonitor {
     nodes_too_old_ += static_cast<std::uint64_t>(drop.nodes_too_old);
     nodes_covered_ += static_cast<std::uint64_t>(drop.nodes_covered);
     seconds_.Observe(drop.duration);
-    if (report_) report_(drop);
+    if (reports_.drop) reports_.drop(drop);
+  }
+  void Withheld(const std::string& vehicle_id,
+                const absl::Status& status) const {
+    if (reports_.withheld) reports_.withheld(vehicle_id, status);
   }
 
   Counts Read() const {
@@ -62,7 +74,7 @@ class RetentionMonitor {
   void CollectMetrics(Metrics* metrics) const;
 
  private:
-  const std::function<void(const Drop&)> report_;
+  const Reports reports_;
   std::atomic<std::uint64_t> poses_{0};
   std::atomic<std::uint64_t> nodes_too_old_{0};
   std::atomic<std::uint64_t> nodes_covered_{0};

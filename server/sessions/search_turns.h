@@ -20,6 +20,11 @@
 
 namespace revisit::server {
 
+// How often a turn of a stored check gives way to other work of its vehicle.
+// After that it holds that work up by itself once, as the checks of a stream
+// do.
+inline constexpr int kMostGivenWay = 3;
+
 class SearchTurns {
  public:
   using Clock = std::chrono::steady_clock;

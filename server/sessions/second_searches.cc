@@ -16,9 +16,7 @@ namespace {
 
 // Second searches are one flow beside those of all callers, whichever vehicle
 // they are of.
-constexpr char kFlow[] = "second searches";
-// As in the first search: how often a turn gives way to other work.
-constexpr int kMostGivenWay = 3;
+constexpr char kSecondSearches[] = "second searches";
 // Rows of one page of a look, some milliseconds.
 constexpr int kChecksPerLook = 100;
 constexpr std::chrono::milliseconds kJudgingSlice{10};
@@ -259,7 +257,7 @@ void SecondSearches::Search() {
   is_at_work_ = true;
   search_ = SearchTurns();
   gave_way_ = 0;
-  queue_->PostSearch(kFlow, [this] { TakeTurn(); });
+  queue_->PostSearch(kSecondSearches, [this] { TakeTurn(); });
 }
 
 void SecondSearches::TakeTurn() {
@@ -297,7 +295,7 @@ void SecondSearches::TakeTurn() {
     } else {
       gave_way_ = 0;
     }
-    queue_->PostSearch(kFlow, [this] { TakeTurn(); });
+    queue_->PostSearch(kSecondSearches, [this] { TakeTurn(); });
     return;
   }
   --allowed_;

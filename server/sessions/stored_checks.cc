@@ -21,9 +21,6 @@ using absl::StrCat;
 // The searches of debts are one flow beside those of all callers, so that they
 // take one share of the threads of searches, however many vehicles owe some.
 constexpr char kFlow[] = "stored checks";
-// How often a turn gives way to other work of the vehicle. After that it holds
-// that work up by itself once, as the checks of a stream do.
-constexpr int kMostGivenWay = 3;
 // Checks that are made ahead of their write.
 constexpr std::size_t kMostMade = 64;
 // Acknowledgements that are remembered to measure the delay of their checks.

@@ -63,7 +63,7 @@ class VehicleSession {
       const Lanes& lanes, const Limits& limits,
       const SnapshotPolicy& snapshots = SnapshotPolicy(),
       std::shared_ptr<RetentionMonitor> retention =
-          std::make_shared<RetentionMonitor>(nullptr),
+          std::make_shared<RetentionMonitor>(RetentionMonitor::Reports()),
       ServerClock clock = SystemNanoseconds,
       std::shared_ptr<VehicleCensus> census = nullptr,
       const StoredChecksPolicy& checks = StoredChecksPolicy());

@@ -8,6 +8,7 @@ import pytest
 
 import scraped
 from drive_client import create
+from grouping import add_link, add_member, create_group, get_group, links_of
 from own_postgres import own_postgres
 from revisit_server import Server, run, wait_until
 from stubs import api
@@ -262,3 +263,34 @@ def test_damage_that_was_found_is_known_until_somebody_decides(store):
         assert len(list_poses(stub, DAMAGED)) == STORED + 1
         stub.DeleteVehicle(api.DeleteVehicleRequest(name=DAMAGED))
         counted(server, active=2)
+
+
+def test_loop_closures_of_groups_that_name_lost_poses_are_lost_too(store):
+    with store.serve() as server:
+        stub = server.stub()
+        group = create_group(stub, "g").name
+        for vehicle in VEHICLES:
+            create(stub, vehicle)
+            for part in batches(straight(STORED), 10):
+                append(stub, vehicle, part)
+            add_member(stub, group, vehicle)
+        one, _, three = VEHICLES
+        kept = [add_link(stub, group, *poses).loop_closure for poses in (
+            ((DAMAGED, 20), (one, STORED)), ((one, 30), (three, 30)))]
+        for poses in (((DAMAGED, 21), (one, 1)), ((three, 1), (DAMAGED, STORED))):
+            add_link(stub, group, *poses)
+    store.change(row_of("batches", "AND first_sequence = 21"))
+    with store.serve() as server:
+        stub = server.stub()
+        assert get(stub, DAMAGED).state == api.VEHICLE_STATE_DAMAGED
+        # They stay until somebody decides.
+        assert len(links_of(stub, group)) == 4
+        revision = get_group(stub, group).revision
+        stub.AcceptDataLoss(api.AcceptDataLossRequest(
+            name=DAMAGED, durable_sequence=20))
+        assert sorted(link.name for link in links_of(stub, group)) == sorted(
+            link.name for link in kept)
+        assert get_group(stub, group).revision == revision + 1
+        failure = failure_of(lambda: add_link(
+            stub, group, (DAMAGED, 21), (one, 1)))
+        assert failure.reason == "POSE_NOT_FOUND"

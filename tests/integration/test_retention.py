@@ -2,6 +2,7 @@
 what callers hear of it."""
 
 import math
+import sqlite3
 import time
 
 import grpc
@@ -9,6 +10,7 @@ import pytest
 from google.protobuf import duration_pb2, field_mask_pb2, timestamp_pb2
 
 import scraped
+from grouping import add_link, add_member, add_vehicle, create_group, delete_link
 from own_postgres import own_postgres
 from revisit_server import Server, run, wait_until
 from stubs import api
@@ -228,6 +230,62 @@ def test_an_export_has_no_edge_over_what_is_dropped(server, stub):
     present = set(edges)
     assert all((cut - 1, cut) not in present for cut in cuts)
     assert len(edges) >= len(nodes) - 1 - len(cuts)
+
+
+def link_to(stub, vehicle, sequence):
+    """The name of a loop closure of this pose and one of another vehicle."""
+    group = create_group(stub, f"group-of-{vehicle.split('/')[1]}").name
+    other = add_vehicle(stub, f"other-of-{vehicle.split('/')[1]}")
+    for member in (vehicle, other):
+        add_member(stub, group, member)
+    return add_link(stub, group, (other, 1), (vehicle, sequence)).loop_closure.name
+
+
+@pytest.mark.parametrize("retention", [
+    dict(max_passes=2), dict(max_age=duration_pb2.Duration(seconds=8 * LAP))],
+    ids=["max_passes", "max_age"])
+def test_poses_of_links_stay_until_these_are_deleted(retention, server, stub):
+    name, = retention
+    vehicle = create(stub, f"linked-{name.replace('_', '-')}", **retention)
+    drive(stub, vehicle, 2)
+    linked = link_to(stub, vehicle, 400)
+    drive(stub, vehicle, 18, 2)
+    assert settled(server, vehicle).dropped_pose_count > 4 * LAP
+    kept = [p.sequence for p in list_poses(stub, vehicle)]
+    # With two sequence lengths before it, as those of the vehicle's own.
+    assert set(range(302, 401)) <= set(kept)
+    assert not set(range(500, 600)) & set(kept)
+    delete_link(stub, linked)
+    drive(stub, vehicle, 4, 20)
+    settled(server, vehicle)
+    kept = [p.sequence for p in list_poses(stub, vehicle)]
+    assert not set(range(302, 401)) & set(kept)
+
+
+def test_a_damaged_link_keeps_everything_until_it_is_deleted(tmp_path):
+    with Server(tmp_path / "store", *ADMIN) as server:
+        stub = server.stub()
+        vehicle = create(stub, "doubted", max_passes=0)
+        drive(stub, vehicle, 6)
+        linked = link_to(stub, vehicle, 400)
+    database = sqlite3.connect(tmp_path / "store" / "revisit.sqlite")
+    with database:
+        assert database.execute(
+            "UPDATE group_links SET checksum = checksum + 1").rowcount == 1
+    database.close()
+    with Server(tmp_path / "store", *ADMIN) as server:
+        stub = server.stub()
+        stub.UpdateVehicle(api.UpdateVehicleRequest(
+            vehicle=api.Vehicle(name=vehicle, settings=api.VehicleSettings(
+                retention=api.Retention(max_passes=2))),
+            update_mask=field_mask_pb2.FieldMask(paths=["settings.retention"])))
+        assert settled(server, vehicle).dropped_pose_count == 0
+        line = server.logged("poses_kept")[-1]
+        assert "vehicle=doubted" in line
+        assert linked.split("/")[-1] in line
+        delete_link(stub, linked)
+        drive(stub, vehicle, 4, 6)
+        assert settled(server, vehicle).dropped_pose_count > LAP
 
 
 def test_poses_grow_too_old_by_their_own_stamps(server, stub):

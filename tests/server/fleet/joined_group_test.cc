@@ -3,11 +3,13 @@
 #include <cstdint>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
 
 #include "core/drive/drive.h"
+#include "core/drive/dropped_stretch.h"
 #include "core/drive/pose_graph.h"
 #include "core/settings.h"
 #include "google/protobuf/repeated_field.h"
@@ -59,7 +61,16 @@ class JoinGroupTest : public ::testing::Test {
       for (int k = 0; k < 4; ++k) sample.covariance(k, k) = 0.01;
       samples.push_back(sample);
     }
-    drive.Append(samples, 1);
+    if (gap_) {
+      const auto before = samples.begin() +
+                          static_cast<std::ptrdiff_t>(gap_->first_sequence) - 1;
+      const auto behind =
+          samples.begin() + static_cast<std::ptrdiff_t>(gap_->last_sequence);
+      drive.Append({samples.begin(), before}, 1);
+      drive.Skip(*gap_, 2);
+      samples.erase(samples.begin(), behind);
+    }
+    drive.Append(samples, 3);
     const std::string id(1, static_cast<char>('a' + key - 1));
     histories_.push_back(std::make_shared<const KnownHistory>(
         KnownHistory{id, key, config, 1, 101, "series", HistoryView(drive)}));
@@ -95,6 +106,8 @@ class JoinGroupTest : public ::testing::Test {
   }
 
   bool all_reckoned_ = false;
+  // Poses that vehicles lack which are added from then on.
+  std::optional<core::DroppedStretch> gap_;
   StoredGroup group_;
   std::vector<std::shared_ptr<const KnownHistory>> histories_;
   std::vector<std::pair<VehicleKey, std::uint64_t>> read_;
@@ -143,6 +156,20 @@ TEST_F(JoinGroupTest, LinksOfPosesThatAreNotThereTieNothing) {
   Link(1, 2, 102);
   Link(1, 3, 50);
   EXPECT_EQ(TieTo(1).state, FrameState::kNone);
+}
+
+TEST_F(JoinGroupTest, LinksOfPosesThatWereDroppedTieNothing) {
+  Add("");
+  gap_ = {40, 60, 22.0, std::nullopt};
+  Add("");
+  Add("");
+  Link(1, 2, 40);
+  Link(2, 1, 60);
+  Link(2, 3, 50);
+  EXPECT_EQ(TieTo(1).state, FrameState::kNone);
+  Link(1, 2, 61);
+  EXPECT_EQ(TieTo(1).state, FrameState::kProvisional);
+  EXPECT_EQ(TieTo(2).state, FrameState::kNone);
 }
 
 TEST_F(JoinGroupTest, MeasurementsAreOfThePosesThemselves) {

@@ -67,8 +67,13 @@ class RetentionTest : public ::testing::Test {
     fleet_.reset();
     Fleet::Options options;
     options.snapshots.poses = snapshot_poses;
-    options.report_drop = [this](const RetentionMonitor::Drop& drop) {
+    options.retention.drop = [this](const RetentionMonitor::Drop& drop) {
       drops_.push_back(drop);
+    };
+    options.retention.withheld = [this](const std::string& vehicle_id,
+                                        const absl::Status& status) {
+      EXPECT_EQ(vehicle_id, kId);
+      withheld_.push_back(status);
     };
     options.clock = [this] { return now_seconds_ * kSecond; };
     fleet_ = std::make_unique<Fleet>(&storage_, &codec_, &executor_, options);
@@ -152,6 +157,33 @@ class RetentionTest : public ::testing::Test {
   }
   VehicleSession& session() { return *(session_ = fleet_->Session(kId)); }
   std::vector<BatchRecord> Rows() { return *ReadAll(memory_, key_, 1, last_); }
+  bool IsKept(std::uint64_t sequence) {
+    const auto row = *ReadAll(memory_, key_, sequence, sequence);
+    return row[0].payload.rfind("dropped", 0) != 0;
+  }
+
+  // A group of the vehicle and another one.
+  void CreateGroup(const std::string& id) {
+    const absl::StatusOr<VehicleKey> other =
+        BlockingWrites(&memory_).Create("other of " + id);
+    ASSERT_THAT(other, IsOk());
+    other_ = *other;
+    ASSERT_THAT(groups_.Create(id), IsOk());
+    ASSERT_THAT(groups_.Change(id, {AddGroupMember{{key_, ""}},
+                                    AddGroupMember{{other_, ""}}}),
+                IsOk());
+  }
+  // A loop closure of a pose of the vehicle and one of the other in the last
+  // group that was made.
+  GroupLinkRecord LinkOf(const std::string& id, std::uint64_t sequence) const {
+    return {id, LinkState::kConfirmed, {key_, sequence}, {other_, 1}};
+  }
+  void Link(const std::string& group, const GroupLinkRecord& link) {
+    ASSERT_THAT(groups_.Change(group, {AddGroupLink{link}}), IsOk());
+  }
+  void Unlink(const std::string& group, const std::string& id) {
+    ASSERT_THAT(groups_.Change(group, {RemoveGroupLink{id}}), IsOk());
+  }
 
   // The vehicle as it is, and as another server loads it.
   void ExpectAsLoaded() {
@@ -179,9 +211,12 @@ class RetentionTest : public ::testing::Test {
   std::atomic<std::int64_t> now_seconds_{kYear};
   // Written on the vehicle's strand.
   std::vector<RetentionMonitor::Drop> drops_;
+  std::vector<absl::Status> withheld_;
   std::unique_ptr<Fleet> fleet_;
   std::shared_ptr<VehicleSession> session_;
   VehicleKey key_ = 0;
+  BlockingGroupWrites groups_{&memory_};
+  VehicleKey other_ = 0;
   std::uint64_t last_ = 0;
 };
 
@@ -382,6 +417,85 @@ TEST_F(RetentionTest, KeepsWhatLoopClosuresReferTo) {
   ASSERT_THAT(DeletePairNow(session(), kClosure, "a"), IsOk());
   ASSERT_THAT(DeletePairNow(session(), kClosure, "m"), IsOk());
   Drive(1000);
+  ExpectAsLoaded();
+}
+
+TEST_F(RetentionTest, KeepsWhatLoopClosuresOfGroupsReferTo) {
+  Create(2);
+  Drive(900);
+  CreateGroup("one");
+  Link("one", LinkOf("a", 605));
+  CreateGroup("two");
+  GroupLinkRecord doubted = LinkOf("b", 405);
+  std::swap(doubted.query, doubted.matched);
+  doubted.state = LinkState::kSuspect;
+  Link("two", doubted);
+  Drive(4000);
+  EXPECT_GT(Settled().dropped, 2000u);
+  for (const std::uint64_t end : {405, 605}) {
+    // With the path that leads to it, as that of a loop closure of the vehicle.
+    for (std::uint64_t i = 0; i <= 15; i += 5) {
+      EXPECT_TRUE(IsKept(end - i)) << end - i;
+    }
+  }
+  EXPECT_FALSE(IsKept(505));
+  ExpectAsLoaded();
+  // Once they are gone, so are their poses.
+  Unlink("one", "a");
+  Drive(1000);
+  Settled();
+  EXPECT_FALSE(IsKept(605));
+  EXPECT_TRUE(IsKept(405));
+  ASSERT_THAT(groups_.Delete("two"), IsOk());
+  Drive(1000);
+  Settled();
+  EXPECT_FALSE(IsKept(405));
+  ExpectAsLoaded();
+}
+
+TEST_F(RetentionTest, KeepsWhatALoopClosureOfAGroupRefersToThatCameMeanwhile) {
+  Create(0);
+  DriveLong();
+  CreateGroup("g");
+  KeepPasses(core::kMostPasses);
+  ASSERT_TRUE(IsLookedAt());
+  // Behind the first laps, which are known best and stay.
+  Link("g", LinkOf("a", 1760));
+  EXPECT_TRUE(IsLookedAt());
+  EXPECT_GT(Settled().dropped, kLongDrive / 4);
+  EXPECT_TRUE(IsKept(1760));
+  EXPECT_FALSE(IsKept(1680));
+}
+
+TEST_F(RetentionTest, DropsNothingWhileALoopClosureOfAGroupIsDamaged) {
+  Create(0);
+  Drive(3000);
+  CreateGroup("g");
+  GroupLinkRecord link = LinkOf("a", 605);
+  link.damage = Error(StatusCode::kDataLoss, "STORE_CORRUPT", "the row");
+  Link("g", link);
+  KeepPasses(2);
+  EXPECT_EQ(Settled().dropped, 0u);
+  ASSERT_EQ(withheld_.size(), 1u);
+  EXPECT_THAT(withheld_[0], IsError(StatusCode::kDataLoss, "STORE_CORRUPT", _));
+  Unlink("g", "a");
+  Drive(1000);
+  EXPECT_GT(Settled().dropped, 2000u);
+  EXPECT_EQ(withheld_.size(), 1u);
+}
+
+// A loop closure that names poses that are gone, as of a server that knew
+// nothing of it.
+TEST_F(RetentionTest, LoopClosuresOfGroupsWhosePosesAreGoneKeepNothing) {
+  Create(2);
+  Drive(4000);
+  Settled();
+  ASSERT_FALSE(IsKept(1005));
+  CreateGroup("g");
+  Link("g", LinkOf("a", 1005));
+  const std::uint64_t dropped = Settled().dropped;
+  Drive(1000);
+  EXPECT_GT(Settled().dropped, dropped + 500);
   ExpectAsLoaded();
 }
 

@@ -63,7 +63,8 @@ class StoredChecksTest : public ::testing::Test {
     policy.codec = &check_codec_;
     return VehicleSession::Load(
         "truck", &storage_, &codec_, &executor_, VehicleSession::Limits(),
-        SnapshotPolicy(), std::make_shared<RetentionMonitor>(nullptr),
+        SnapshotPolicy(),
+        std::make_shared<RetentionMonitor>(RetentionMonitor::Reports()),
         [this] { return now_ns_.load(); }, nullptr, policy);
   }
 
