@@ -2,7 +2,6 @@
 
 #include <gtest/gtest.h>
 
-#include <algorithm>
 #include <optional>
 #include <utility>
 #include <vector>
@@ -79,12 +78,11 @@ TEST_F(RelativeSearchTest, OddsOfAllHistoriesAreAgainstTheSameNewPlace) {
     ASSERT_GT(set.candidates.size(), 1u);
     odds += 1.0 / *set.new_place_probability - 1.0;
   }
-  // Passes of one place share its odds, so that they are at most so many, and
-  // at least those of the better half.
+  // Passes of one place share its odds (Rivals::AverageOverPasses()), and no
+  // place has more passes than there are places.
   EXPECT_GE(*both.new_place_probability * odds, 1.0 - 1e-9);
-  EXPECT_LE(*both.new_place_probability,
-            std::max(*alone[0].new_place_probability,
-                     *alone[1].new_place_probability));
+  const auto places = static_cast<double>(both.candidates.size());
+  EXPECT_LE(*both.new_place_probability, 1.0 / (1.0 + (odds - 1.0) / places));
   EXPECT_EQ(both.nodes_considered, all);
   ASSERT_EQ(both.candidates.size(),
             alone[0].candidates.size() + alone[1].candidates.size());
