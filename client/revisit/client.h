@@ -87,7 +87,7 @@ class Client {
   // Retried.
   absl::StatusOr<v1::ListLoopClosuresResponse> ListLoopClosures(
       const v1::ListLoopClosuresRequest& request) const;
-  // Not retried, as DeleteVehicle.
+  // Not retried: it could delete a new loop closure of the same name.
   absl::StatusOr<v1::DeleteLoopClosureResponse> DeleteLoopClosure(
       const v1::DeleteLoopClosureRequest& request) const;
   // Retried.
@@ -99,7 +99,7 @@ class Client {
   // Retried.
   absl::StatusOr<v1::ListRejectedCandidatesResponse> ListRejectedCandidates(
       const v1::ListRejectedCandidatesRequest& request) const;
-  // Not retried, as DeleteVehicle.
+  // Not retried: it could delete a new rejection of the same name.
   absl::StatusOr<v1::DeleteRejectedCandidateResponse> DeleteRejectedCandidate(
       const v1::DeleteRejectedCandidateRequest& request) const;
   // Retried.
@@ -123,19 +123,19 @@ class Client {
   // Retried.
   absl::StatusOr<v1::ListGroupsResponse> ListGroups(
       const v1::ListGroupsRequest& request) const;
-  // Not retried, as UpdateVehicle.
+  // Not retried: it could undo a change that another client made meanwhile.
   absl::StatusOr<v1::UpdateGroupResponse> UpdateGroup(
       const v1::UpdateGroupRequest& request) const;
-  // Not retried, as DeleteVehicle.
+  // Not retried: it could delete a new group of the same name.
   absl::StatusOr<v1::DeleteGroupResponse> DeleteGroup(
       const v1::DeleteGroupRequest& request) const;
   // Retried: the same member again is the existing one.
   absl::StatusOr<v1::AddGroupMemberResponse> AddGroupMember(
       const v1::AddGroupMemberRequest& request) const;
-  // Not retried, as UpdateVehicle.
+  // Not retried: it could undo a change that another client made meanwhile.
   absl::StatusOr<v1::UpdateGroupMemberResponse> UpdateGroupMember(
       const v1::UpdateGroupMemberRequest& request) const;
-  // Not retried, as DeleteVehicle.
+  // Not retried: it could remove a vehicle that joined again.
   absl::StatusOr<v1::RemoveGroupMemberResponse> RemoveGroupMember(
       const v1::RemoveGroupMemberRequest& request) const;
   // Retried.
@@ -149,7 +149,7 @@ class Client {
   absl::StatusOr<v1::ListInterVehicleLoopClosuresResponse>
   ListInterVehicleLoopClosures(
       const v1::ListInterVehicleLoopClosuresRequest& request) const;
-  // Not retried, as DeleteVehicle.
+  // Not retried: it could delete a new loop closure of the same name.
   absl::StatusOr<v1::DeleteInterVehicleLoopClosureResponse>
   DeleteInterVehicleLoopClosure(
       const v1::DeleteInterVehicleLoopClosureRequest& request) const;

@@ -22,7 +22,7 @@ using Ask =
 // A kind of resources that are deleted by their ids.
 struct DeletedKind {
   std::string (*name)(const std::string& id);
-  // What is lost with one, for the question, such as " with its 3 poses".
+  // Says in the question what else is lost, such as " with its 3 poses".
   absl::StatusOr<std::string> (*content)(const Client& client,
                                          const std::string& name);
   absl::Status (*remove)(const Client& client, const std::string& name);

@@ -19,7 +19,7 @@ namespace revisit::client {
 // Adds `group` with all its commands.
 void AddGroupCommand(const Command& program);
 
-// What a group is given.
+// The flags that describe a group.
 struct GroupDescription {
   // Empty to remove the name.
   std::optional<std::string> display_name;

@@ -1,4 +1,4 @@
-// What a command has changed, printed.
+// Prints what a command has changed.
 #ifndef REVISIT_CLIENT_CLI_COMMANDS_PRINTED_CHANGE_H_
 #define REVISIT_CLIENT_CLI_COMMANDS_PRINTED_CHANGE_H_
 

@@ -1,5 +1,5 @@
-// What a verifier tells of two poses that it found to be one place, as flags of
-// the commands that add loop closures.
+// The flags by which commands that add loop closures take what a verifier tells
+// of two poses that it found to be one place.
 #ifndef REVISIT_CLIENT_CLI_COMMANDS_VERIFIED_MEASUREMENT_H_
 #define REVISIT_CLIENT_CLI_COMMANDS_VERIFIED_MEASUREMENT_H_
 
@@ -42,7 +42,7 @@ void FillPose(const std::vector<double>& numbers, Pose* pose) {
   pose->set_heading_radians(numbers.back());
 }
 
-// Of 6, 10 or 36 numbers.
+// Takes 6, 10 or 36 numbers, which say the form.
 v1::Covariance MakeCovariance(const std::vector<double>& numbers);
 
 // Writes all of it into a loop closure of one vehicle or between two.
