@@ -11,6 +11,7 @@
 #include <cstdint>
 #include <optional>
 #include <string>
+#include <utility>
 
 #include "absl/status/statusor.h"
 
@@ -49,6 +50,26 @@ absl::StatusOr<VehiclePlace> ParsePlaceToken(const std::string& list,
 // The page size to use for the one that was asked for: 0 means `usual`, more
 // than `most` means `most`. INVALID_ARGUMENT if negative.
 absl::StatusOr<int> PageSize(int asked, int usual, int most);
+
+// A page of a list whose keys are ids.
+struct AskedPage {
+  std::string list;
+  // The key behind which it begins; empty for the first page.
+  std::string after;
+  int size = 0;
+};
+// The page that a request of the fields `page_size` (100 where it is 0, 1000 at
+// most) and `page_token` asks for. Errors: those of PageSize(), then those of
+// ParsePageToken().
+template <typename Request>
+absl::StatusOr<AskedPage> PageOf(std::string list, const Request& request) {
+  const absl::StatusOr<int> size = PageSize(request.page_size(), 100, 1000);
+  if (!size.ok()) return size.status();
+  absl::StatusOr<std::string> after =
+      ParsePageToken(list, request.page_token());
+  if (!after.ok()) return after.status();
+  return AskedPage{std::move(list), *std::move(after), *size};
+}
 
 }  // namespace revisit::server
 

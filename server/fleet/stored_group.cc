@@ -6,46 +6,32 @@
 
 #include "absl/strings/str_cat.h"
 #include "server/base/status.h"
+#include "server/groups/group_reads.h"
 #include "server/records/group_content.h"
 
 namespace revisit::server {
 namespace {
 
-constexpr int kRowsPerRead = 1000;
 constexpr int kMostTries = 5;
 
 absl::Status ReadMembers(GroupStorage* groups, StoredGroup* group) {
-  std::string after;
-  while (true) {
-    absl::StatusOr<std::vector<GroupMemberRecord>> page =
-        groups->ListMembers(group->id, after, kRowsPerRead);
-    if (!page.ok()) return page.status();
-    if (page->empty()) return absl::OkStatus();
-    after = page->back().vehicle_id;
-    for (GroupMemberRecord& member : *page) {
-      group->members.push_back(std::move(member));
-    }
-  }
+  return VisitMembers(groups, group->id, [group](GroupMemberRecord& member) {
+    group->members.push_back(std::move(member));
+    return true;
+  });
 }
 
 absl::Status ReadLinks(GroupStorage* groups, StoredGroup* group) {
-  std::string after;
-  while (true) {
-    absl::StatusOr<std::vector<GroupLinkRecord>> page =
-        groups->ListLinks(group->id, after, kRowsPerRead);
-    if (!page.ok()) return page.status();
-    if (page->empty()) return absl::OkStatus();
-    after = page->back().id;
-    for (GroupLinkRecord& link : *page) {
-      if (!link.damage.ok() || link.state != LinkState::kConfirmed) continue;
-      std::int64_t create_time_ns = 0;
-      const absl::Status read =
-          ReadLinkContent(link.payload, [&](const LinkContent& content) {
-            create_time_ns = content.create_time_ns;
-          });
-      if (read.ok()) group->links.push_back({create_time_ns, std::move(link)});
-    }
-  }
+  return VisitLinks(groups, group->id, [group](GroupLinkRecord& link) {
+    if (!link.damage.ok() || link.state != LinkState::kConfirmed) return true;
+    std::int64_t create_time_ns = 0;
+    const absl::Status read =
+        ReadLinkContent(link.payload, [&](const LinkContent& content) {
+          create_time_ns = content.create_time_ns;
+        });
+    if (read.ok()) group->links.push_back({create_time_ns, std::move(link)});
+    return true;
+  });
 }
 
 void SortLinks(std::vector<StoredLink>* links) {

@@ -1,7 +1,10 @@
 #include "server/groups/group_edits.h"
 
 #include <algorithm>
+#include <array>
 #include <optional>
+#include <set>
+#include <string>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -55,10 +58,17 @@ absl::StatusOr<LinksSeen> LookAtLinks(GroupStorage* groups,
 
 absl::Status CheckMembers(GroupStorage* groups, const std::string& group_id,
                           const NewLink& link) {
-  for (const std::string& vehicle :
-       {link.query.vehicle_id, link.matched.vehicle_id}) {
-    const absl::Status member = FindMember(groups, group_id, vehicle).status();
-    if (!member.ok()) return member;
+  const std::array<std::string, 2> ends = {link.query.vehicle_id,
+                                           link.matched.vehicle_id};
+  std::set<std::string> missing(ends.begin(), ends.end());
+  const absl::Status status =
+      VisitMembers(groups, group_id, [&](const GroupMemberRecord& member) {
+        missing.erase(member.vehicle_id);
+        return !missing.empty();
+      });
+  if (!status.ok()) return status;
+  for (const std::string& vehicle : ends) {
+    if (missing.count(vehicle) > 0) return VehicleIsNoMember(group_id, vehicle);
   }
   return absl::OkStatus();
 }

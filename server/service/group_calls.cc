@@ -103,16 +103,11 @@ absl::Status GetGroup(const ServiceContext& service, const UnaryCallPtr& call,
 absl::Status ListGroups(const ServiceContext& service, const UnaryCallPtr& call,
                         const v1::ListGroupsRequest& request,
                         v1::ListGroupsResponse* response) {
-  const std::string list = "ListGroups";
-  const absl::StatusOr<int> page_size =
-      PageSize(request.page_size(), 100, 1000);
-  if (!page_size.ok()) return page_size.status();
-  const absl::StatusOr<std::string> after =
-      ParsePageToken(list, request.page_token());
-  if (!after.ok()) return after.status();
+  const absl::StatusOr<AskedPage> asked = PageOf("ListGroups", request);
+  if (!asked.ok()) return asked.status();
   service.executor->Post([=, storage = service.storage] {
     const absl::StatusOr<std::string> last = FillReadablePage(
-        call->rights().caller(), Resource::kGroup, *after, *page_size,
+        call->rights().caller(), Resource::kGroup, asked->after, asked->size,
         [&](const std::string& place, const std::string& prefix, int limit) {
           return storage->Groups().ListGroups(place, prefix, limit);
         },
@@ -123,7 +118,7 @@ absl::Status ListGroups(const ServiceContext& service, const UnaryCallPtr& call,
           return group->ByteSizeLong();
         });
     if (last.ok() && !last->empty()) {
-      response->set_next_page_token(MakePageToken(list, *last));
+      response->set_next_page_token(MakePageToken(asked->list, *last));
     }
     call->End(last.status());
   });

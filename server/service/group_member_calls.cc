@@ -90,24 +90,24 @@ absl::StatusOr<GroupEdit> EditToReplace(Storage* storage,
   return GroupEdit{{SetGroupMember{*member}}, true};
 }
 
-// Fills a page with rows of a group, in order, that come after the id `after`.
-// Damaged rows are left out; a page of its own, behind all others, says what is
-// wrong with them.
+// Fills a page with rows of a group, in the order of their ids. Damaged rows
+// are left out; a page of its own, behind all others, says what is wrong with
+// them.
 //   `visit`: VisitMembers() or VisitLinks() with one of their visitors;
 //   `id_of(row)`; `add(row)`: puts one on the page, and says how many bytes it
 //   takes, or nothing where the caller may not read it.
 template <typename Row, typename IdOf, typename Add, typename Response>
 absl::Status FillPage(
     const std::function<absl::Status(const std::function<bool(Row&)>&)>& visit,
-    const IdOf& id_of, const Add& add, const std::string& after, int page_size,
-    const std::string& list, Response* response) {
-  PageFill page{page_size};
+    const IdOf& id_of, const Add& add, const AskedPage& asked,
+    Response* response) {
+  PageFill page{asked.size};
   std::string last;
   bool is_last = true;
   absl::Status damage;
   const absl::Status status = visit([&](Row& row) {
     const std::string id = id_of(row);
-    if (row.damage.ok() && id <= after) return true;
+    if (row.damage.ok() && id <= asked.after) return true;
     if (row.damage.ok() && page.is_full()) {
       is_last = false;
       return false;
@@ -125,7 +125,7 @@ absl::Status FillPage(
   if (is_last && damage.ok()) return absl::OkStatus();
   // A page that is full has a last one.
   if (last.empty()) return damage;
-  response->set_next_page_token(MakePageToken(list, last));
+  response->set_next_page_token(MakePageToken(asked.list, last));
   return absl::OkStatus();
 }
 
@@ -222,13 +222,9 @@ absl::Status ListGroupMembers(const ServiceContext& service,
   const absl::StatusOr<std::string> group =
       ChooseGroup(request.parent(), kRequest.Field("parent"), call.get());
   if (!group.ok()) return group.status();
-  const std::string list = absl::StrCat("ListGroupMembers ", request.parent());
-  const absl::StatusOr<int> page_size =
-      PageSize(request.page_size(), 100, 1000);
-  if (!page_size.ok()) return page_size.status();
-  const absl::StatusOr<std::string> after =
-      ParsePageToken(list, request.page_token());
-  if (!after.ok()) return after.status();
+  const absl::StatusOr<AskedPage> asked =
+      PageOf(absl::StrCat("ListGroupMembers ", request.parent()), request);
+  if (!asked.ok()) return asked.status();
   service.executor->Post([=, storage = service.storage, group_id = *group] {
     const auto visit =
         [&](const std::function<bool(GroupMemberRecord&)>& visitor) {
@@ -246,7 +242,7 @@ absl::Status ListGroupMembers(const ServiceContext& service,
     call->End(FillPage<GroupMemberRecord>(
         visit,
         [](const GroupMemberRecord& record) { return record.vehicle_id; }, add,
-        *after, *page_size, list, response));
+        *asked, response));
   });
   return absl::OkStatus();
 }
@@ -294,14 +290,9 @@ absl::Status ListInterVehicleLoopClosures(
   const absl::StatusOr<std::string> group =
       ChooseGroup(request.parent(), kRequest.Field("parent"), call.get());
   if (!group.ok()) return group.status();
-  const std::string list =
-      absl::StrCat("ListInterVehicleLoopClosures ", request.parent());
-  const absl::StatusOr<int> page_size =
-      PageSize(request.page_size(), 100, 1000);
-  if (!page_size.ok()) return page_size.status();
-  const absl::StatusOr<std::string> after =
-      ParsePageToken(list, request.page_token());
-  if (!after.ok()) return after.status();
+  const absl::StatusOr<AskedPage> asked = PageOf(
+      absl::StrCat("ListInterVehicleLoopClosures ", request.parent()), request);
+  if (!asked.ok()) return asked.status();
   service.executor->Post([=, storage = service.storage, group_id = *group] {
     // Those that the caller may read.
     std::map<VehicleKey, std::string> vehicles;
@@ -338,7 +329,7 @@ absl::Status ListInterVehicleLoopClosures(
     };
     call->End(FillPage<GroupLinkRecord>(
         visit, [](const GroupLinkRecord& record) { return record.id; }, add,
-        *after, *page_size, list, response));
+        *asked, response));
   });
   return absl::OkStatus();
 }

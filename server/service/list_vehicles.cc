@@ -68,16 +68,12 @@ absl::Status ListVehicles(const ServiceContext& service,
                           const UnaryCallPtr& call,
                           const v1::ListVehiclesRequest& request,
                           v1::ListVehiclesResponse* response) {
-  const std::string list = "ListVehicles";
-  const absl::StatusOr<int> page_size =
-      PageSize(request.page_size(), 100, 1000);
-  if (!page_size.ok()) return page_size.status();
-  const absl::StatusOr<std::string> after =
-      ParsePageToken(list, request.page_token());
-  if (!after.ok()) return after.status();
+  const absl::StatusOr<AskedPage> asked = PageOf("ListVehicles", request);
+  if (!asked.ok()) return asked.status();
   service.executor->Post([=, storage = service.storage, fleet = service.fleet] {
-    const absl::Status status = ListStored(storage, call->rights().caller(),
-                                           list, *after, *page_size, response);
+    const absl::Status status =
+        ListStored(storage, call->rights().caller(), asked->list, asked->after,
+                   asked->size, response);
     if (status.ok()) {
       FillFromMemory(fleet, call, response);
     } else {

@@ -98,18 +98,14 @@ absl::Status ListPairs(const ServiceContext& service, const UnaryCallPtr& call,
   const auto session = SessionOf(service, request.parent(),
                                  kRequest.Field("parent"), call.get());
   if (!session.ok()) return session.status();
-  const std::string list = absl::StrCat(method, " ", request.parent());
-  const absl::StatusOr<int> page_size =
-      PageSize(request.page_size(), 100, 1000);
-  if (!page_size.ok()) return page_size.status();
-  const absl::StatusOr<std::string> after =
-      ParsePageToken(list, request.page_token());
-  if (!after.ok()) return after.status();
+  const absl::StatusOr<AskedPage> asked =
+      PageOf(absl::StrCat(method, " ", request.parent()), request);
+  if (!asked.ok()) return asked.status();
   (*session)->Read(FinishWith<VehicleView>(call, [=](const VehicleView& view) {
     const PosePairs& pairs = view.pairs(kind);
-    auto next = pairs.upper_bound(*after);
+    auto next = pairs.upper_bound(asked->after);
     std::string last;
-    for (; next != pairs.end() && page->size() < *page_size; ++next) {
+    for (; next != pairs.end() && page->size() < asked->size; ++next) {
       EncodePosePair(view.id, next->second, page->Add());
       last = next->first;
     }
@@ -117,7 +113,7 @@ absl::Status ListPairs(const ServiceContext& service, const UnaryCallPtr& call,
     // A page of its own, behind all sound pairs, says what is wrong with the
     // others.
     if (last.empty()) return view.damage;
-    response->set_next_page_token(MakePageToken(list, last));
+    response->set_next_page_token(MakePageToken(asked->list, last));
     return absl::OkStatus();
   }));
   return absl::OkStatus();
