@@ -19,6 +19,7 @@
 #include "client/revisit/printable_text.h"
 #include "revisit/v1/check.pb.h"
 #include "revisit/v1/geometry.pb.h"
+#include "revisit/v1/group.pb.h"
 #include "revisit/v1/loop_closure.pb.h"
 #include "revisit/v1/recording.pb.h"
 
@@ -49,16 +50,23 @@ inline std::int64_t OrderOf(const v1::DeletedPosePair& pair) {
 inline std::uint64_t OrderOf(const v1::Recording& recording) {
   return recording.first_sequence();
 }
-// The name of its vehicle, then its sequence with as many digits as any has.
-// The blank between them is before all that an id may have.
-inline std::string OrderOf(const v1::Check& check) {
+// The order of `vehicles/{vehicle}/{collection}/{sequence}`: the name of the
+// vehicle, then the sequence with as many digits as any has. The blank between
+// them is before all that an id may have.
+inline std::string OrderBySequence(const std::string& name,
+                                   const std::string& collection) {
   constexpr std::size_t kDigits = 20;
-  const std::string& name = check.name();
-  const std::size_t slash = name.rfind("/checks/");
+  const std::size_t slash = name.rfind("/" + collection + "/");
   if (slash == name.npos) return name;
   std::string sequence = name.substr(name.rfind('/') + 1);
   sequence.insert(0, kDigits - std::min(kDigits, sequence.size()), '0');
   return name.substr(0, slash) + " " + sequence;
+}
+inline std::string OrderOf(const v1::Check& check) {
+  return OrderBySequence(check.name(), "checks");
+}
+inline std::string OrderOf(const v1::FrameTransform& transform) {
+  return OrderBySequence(transform.recording(), "recordings");
 }
 
 // How a list is ordered.

@@ -251,6 +251,11 @@ Client::DeleteInterVehicleLoopClosure(
                      request);
 }
 
+absl::StatusOr<v1::ListFrameTransformsResponse> Client::ListFrameTransforms(
+    const v1::ListFrameTransformsRequest& request) const {
+  return rep_->Unary(Retry::kSafe, &Stub::ListFrameTransforms, request);
+}
+
 absl::StatusOr<v1::GetServerInfoResponse> Client::GetServerInfo() const {
   return rep_->Unary(Retry::kSafe, &Stub::GetServerInfo,
                      v1::GetServerInfoRequest());

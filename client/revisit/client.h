@@ -154,6 +154,9 @@ class Client {
   DeleteInterVehicleLoopClosure(
       const v1::DeleteInterVehicleLoopClosureRequest& request) const;
   // Retried.
+  absl::StatusOr<v1::ListFrameTransformsResponse> ListFrameTransforms(
+      const v1::ListFrameTransformsRequest& request) const;
+  // Retried.
   absl::StatusOr<v1::GetServerInfoResponse> GetServerInfo() const;
 
   // Calls `visit` for each part of the graph; a status but OK from it ends the

@@ -11,6 +11,11 @@ bool AreOfKind(const FrameNodes& nodes, StateSpace state_space,
   return nodes.state_space == state_space && nodes.correlation.model == model;
 }
 
+// How many recordings have nodes. REQUIRES: there are nodes.
+std::size_t CountRecordings(const DriveView& view) {
+  return view.recordings.Of(view.graph.size() - 1) + 1;
+}
+
 }  // namespace
 
 JoinedDrives::JoinedDrives(std::vector<JoinedDrive> drives,
@@ -78,8 +83,7 @@ SeenFrames JoinedDrives::SeenFrom(const FrameNodes& nodes,
   }
   if (const auto frame = FrameOf(*asking, nodes)) {
     const DriveView& before = view(*asking);
-    seen.relations.Cut(
-        *frame, *frame + before.recordings.Of(before.graph.size() - 1) + 1);
+    seen.relations.Cut(*frame, *frame + CountRecordings(before));
   }
   seen.own = seen.relations.AddDrive(nodes, recordings, query, loops,
                                      drives_[*asking].datum.get());
@@ -98,6 +102,27 @@ SeenFrames JoinedDrives::SeenFrom(const FrameNodes& nodes,
     if (from && to) seen.relations.AddLink(*from, *to, link.loop);
   }
   return seen;
+}
+
+std::vector<std::vector<FrameRelation>> JoinedDrives::SeenFromLast(
+    std::size_t asking) const {
+  std::vector<std::vector<FrameRelation>> by_drive(drives_.size());
+  const DriveView& own = view(asking);
+  if (own.graph.size() == 0) return by_drive;
+  const FrameNodes nodes{own.graph, own.state_space, own.correlation};
+  const SeenFrames seen =
+      SeenFrom(nodes, own.recordings, own.graph.size() - 1, own.loops, asking);
+  const std::vector<FrameRelation> relations =
+      seen.relations.From(seen.own + CountRecordings(own) - 1);
+  for (std::size_t drive = 0; drive < drives_.size(); ++drive) {
+    const std::optional<std::size_t> first =
+        drive == asking ? seen.own : FrameOf(drive, nodes);
+    if (!first) continue;
+    const auto begin = relations.begin() + static_cast<std::ptrdiff_t>(*first);
+    by_drive[drive].assign(begin, begin + static_cast<std::ptrdiff_t>(
+                                              CountRecordings(view(drive))));
+  }
+  return by_drive;
 }
 
 }  // namespace revisit::core

@@ -69,6 +69,13 @@ class JoinedDrives {
                       NodeIndex query, const std::vector<ConfirmedLoop>& loops,
                       std::optional<std::size_t> asking) const;
 
+  // By drive and recording: where its frame lies in that of the asking drive's
+  // last recording, by all that is joined. Empty for drives without nodes, or
+  // with another state space or noise model; all are, where the asking one has
+  // no nodes. As SeenFrom(), and O(frames + edges) more.
+  std::vector<std::vector<FrameRelation>> SeenFromLast(
+      std::size_t asking) const;
+
   // The frame of the first recording of a drive, among those that a drive with
   // this state space and noise model sees; those of its others follow. Nothing
   // for a drive with another one, or without nodes.

@@ -15,6 +15,7 @@
 #include "core/geometry/state_matrix.h"
 #include "core/settings.h"
 #include "server/conversion/findings.h"
+#include "server/conversion/frames.h"
 #include "server/conversion/names.h"
 #include "server/conversion/vehicle_labels.h"
 #include "server/conversion/vehicle_settings.h"
@@ -41,15 +42,6 @@ constexpr EnumRow<v1::GateVerdict, core::GateVerdict> kGateVerdicts[] = {
     {v1::GATE_VERDICT_ACCEPTED, core::GateVerdict::kAccepted},
     {v1::GATE_VERDICT_REJECTED, core::GateVerdict::kRejected},
     {v1::GATE_VERDICT_ILL_CONDITIONED, core::GateVerdict::kIllConditioned}};
-constexpr EnumRow<v1::FrameState, core::FrameState> kFrameStates[] = {
-    {v1::FRAME_STATE_SAME, core::FrameState::kSame},
-    {v1::FRAME_STATE_AFTER, core::FrameState::kAfter},
-    {v1::FRAME_STATE_DATUM, core::FrameState::kDatum},
-    {v1::FRAME_STATE_PROVISIONAL, core::FrameState::kProvisional},
-    {v1::FRAME_STATE_KNOWN, core::FrameState::kKnown},
-    {v1::FRAME_STATE_NONE, core::FrameState::kNone}};
-// Every state of the API but UNSPECIFIED has a row.
-static_assert(std::size(kFrameStates) == v1::FrameState_ARRAYSIZE - 1);
 constexpr EnumRow<v1::EmptyReason, core::EmptyReason> kEmptyReasons[] = {
     {v1::EMPTY_REASON_UNSPECIFIED, core::EmptyReason::kNotEmpty},
     {v1::EMPTY_REASON_PATH_TOO_SHORT, core::EmptyReason::kPathTooShort},
@@ -71,32 +63,6 @@ constexpr EnumRow<v1::Durability, Durability::Level> kDurabilities[] = {
     {v1::DURABILITY_LOCAL, Durability::Level::kLocal},
     {v1::DURABILITY_REPLICATED, Durability::Level::kReplicated},
     {v1::DURABILITY_DEFERRED, Durability::Level::kNone}};
-
-// PLANAR_6 or SPATIAL_10, by the state space.
-void EncodeCovariance(const core::Covariance& covariance,
-                      core::StateSpace space, v1::Covariance* message) {
-  if (space == core::StateSpace::kSpatial) {
-    message->set_form(v1::COVARIANCE_FORM_SPATIAL_10);
-    message->mutable_values()->Add(covariance.upper.begin(),
-                                   covariance.upper.end());
-    return;
-  }
-  message->set_form(v1::COVARIANCE_FORM_PLANAR_6);
-  for (int r = 0; r < 3; ++r) {
-    for (int c = r; c < 3; ++c) {
-      message->add_values(
-          covariance(core::StateIndex<3>(r), core::StateIndex<3>(c)));
-    }
-  }
-}
-
-void EncodeStatePose(const core::Pose& pose, core::StateSpace space,
-                     v1::StatePose* message) {
-  message->set_x_meters(pose.x);
-  message->set_y_meters(pose.y);
-  if (space == core::StateSpace::kSpatial) message->set_z_meters(pose.z);
-  message->set_heading_radians(pose.heading);
-}
 
 // ---- Vehicles
 
@@ -149,17 +115,6 @@ void EncodeRecordingStart(const core::RecordingStart& start,
       message->set_unknown(true);
       return;
   }
-}
-
-void EncodeFrame(const core::FrameRelation& relation, core::StateSpace space,
-                 v1::Recording* message) {
-  message->set_frame_state(ToProto(kFrameStates, relation.state));
-  if (!relation.is_tied()) return;
-  EncodeStatePose(relation.transform, space, message->mutable_frame_pose());
-  if (relation.state == core::FrameState::kSame) return;
-  EncodeCovariance(core::ToCovariance<4>(relation.fixed + relation.drift),
-                   space, message->mutable_frame_covariance());
-  EncodeStatePose(relation.place, space, message->mutable_frame_reference());
 }
 
 // ---- Candidates
@@ -230,7 +185,7 @@ void EncodeCandidate(const VehicleView& view, const core::Candidate& candidate,
     EncodeMatch(view.id, view.drive.graph(), view.drive.recordings(), space,
                 candidate.matched, message);
   }
-  message->set_frame_state(ToProto(kFrameStates, candidate.frame_state));
+  message->set_frame_state(EncodeFrameState(candidate.frame_state));
   if (candidate.difference) {
     EncodeGate(candidate.difference->gate, message->mutable_gate());
     message->mutable_gate()->set_inflation(candidate.inflation);

@@ -22,6 +22,10 @@ struct ScopeRequest {
   std::vector<std::string> vehicles;
   bool exclude_own = false;
   bool allow_partial = false;
+  // Whether nothing can be said without the asking vehicle, which then must be
+  // a member. Else it may be none, or have a history that is not known: then
+  // its frame is tied to none.
+  bool needs_asking = false;
   // Members that the caller may not read are no part of the search. May be
   // called on any thread.
   std::function<bool(const std::string& vehicle_id)> may_read;

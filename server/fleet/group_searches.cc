@@ -42,8 +42,31 @@ absl::Status NotReady(const std::string& group, std::size_t missing,
       absl::StrCat("the histories of ", missing, " of ", members,
                    " members of group '", group,
                    "' are being read from the store; try again, or "
-                   "set scope.allow_partial"),
+                   "set allow_partial"),
       {{"missing", absl::StrCat(missing)}, {"members", absl::StrCat(members)}});
+}
+
+// Why the history of the asking vehicle is not known, which is needed.
+absl::Status Lacks(const ScopeRequest& request, Absence absence,
+                   std::size_t missing, std::size_t members,
+                   std::int64_t most_bytes) {
+  switch (absence) {
+    case Absence::kNotReady:
+      return NotReady(request.group, missing, members);
+    case Absence::kDamaged:
+      return Corrupt(
+          absl::StrCat("the stored vehicle '", request.asking, "' is damaged"));
+    case Absence::kMemory:
+      return Error(
+          absl::StatusCode::kResourceExhausted, "MEMORY_PRESSURE",
+          absl::StrCat("the history of vehicle '", request.asking,
+                       "' has no room beside those that were asked for"),
+          {{"limit", absl::StrCat(most_bytes)}});
+    case Absence::kNone:
+    case Absence::kGone:
+      break;
+  }
+  return NoMember(request.group, request.asking);
 }
 
 }  // namespace
@@ -91,7 +114,9 @@ struct GroupSearches::State {
       search->members.push_back(&member);
       search->keepers.push_back(Keeper(member.vehicle_id));
     }
-    for (const std::string& vehicle : search->request.vehicles) {
+    std::vector<std::string> needed = search->request.vehicles;
+    if (search->request.needs_asking) needed.push_back(search->request.asking);
+    for (const std::string& vehicle : needed) {
       if (IsMember(*search, vehicle)) continue;
       search->then(NoMember(search->request.group, vehicle));
       return;
@@ -124,6 +149,7 @@ struct GroupSearches::State {
     GroupScope scope;
     std::vector<std::shared_ptr<const KnownHistory>> histories;
     std::size_t missing = 0;
+    Absence asking = Absence::kGone;
     for (std::size_t m = 0; m < search->members.size(); ++m) {
       const GroupMemberRecord& member = *search->members[m];
       HistoryState state = search->keepers[m]->state();
@@ -132,6 +158,7 @@ struct GroupSearches::State {
       const bool is_member =
           state.history == nullptr || state.history->key == member.vehicle;
       if (!is_member || state.absence == Absence::kGone) continue;
+      if (member.vehicle_id == request.asking) asking = state.absence;
       if (state.history == nullptr) {
         if (state.absence == Absence::kNotReady) ++missing;
         if (member.vehicle_id == request.asking ||
@@ -150,6 +177,11 @@ struct GroupSearches::State {
     }
     if (missing > 0 && !request.allow_partial) {
       search->then(NotReady(request.group, missing, search->members.size()));
+      return;
+    }
+    if (request.needs_asking && !scope.scope.asking) {
+      search->then(Lacks(request, asking, missing, search->members.size(),
+                         options.most_bytes));
       return;
     }
     scope.joined = cache.Joined(search->group, std::move(histories));

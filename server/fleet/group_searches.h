@@ -48,7 +48,10 @@ class GroupSearches {
   // (GROUP_NOT_FOUND), (MEMBER_NOT_FOUND) for one of the vehicles that is no
   // member, or may not be read; UNAVAILABLE (GROUP_NOT_READY) while histories
   // are read from the store, unless the request allows that; those of the
-  // storage. REQUIRES: a session of the asking vehicle is loaded and held.
+  // storage. For an asking vehicle that is needed also: GROUP_NOT_READY in any
+  // case, DATA_LOSS (STORE_CORRUPT) where it is damaged, RESOURCE_EXHAUSTED
+  // (MEMORY_PRESSURE) where its history has no room. A search holds a session
+  // of the asking vehicle, which is loaded: then its history is known.
   void Prepare(ScopeRequest request,
                std::function<void(absl::StatusOr<GroupScope>)> then);
 

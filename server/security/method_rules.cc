@@ -27,6 +27,7 @@ constexpr MethodRule kRules[] = {
     {"GetVehicle", Verb::kRead},
     {"ListChecks", Verb::kRead},
     {"ListDeletedPosePairs", Verb::kRead},
+    {"ListFrameTransforms", Verb::kRead},
     {"ListGroupMembers", Verb::kRead},
     {"ListGroups", Verb::kRead},
     {"ListInterVehicleLoopClosures", Verb::kRead},

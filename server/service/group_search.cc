@@ -14,13 +14,11 @@ absl::StatusOr<ScopeRequest> DecodeScope(const v1::SearchScope& scope,
   absl::StatusOr<std::string> group =
       ParseGroupName(scope.group(), path.Field("group"));
   if (!group.ok()) return group.status();
+  absl::StatusOr<std::vector<std::string>> vehicles =
+      DecodeVehicles(scope.vehicles(), path);
+  if (!vehicles.ok()) return vehicles.status();
   ScopeRequest request;
-  for (int i = 0; i < scope.vehicles_size(); ++i) {
-    absl::StatusOr<std::string> id = ParseVehicleName(
-        scope.vehicles(i), path.At("vehicles", static_cast<std::size_t>(i)));
-    if (!id.ok()) return id.status();
-    request.vehicles.push_back(*std::move(id));
-  }
+  request.vehicles = *std::move(vehicles);
   if (absl::Status status =
           call->rights().AlsoNeeds(Verb::kRead, *group, Resource::kGroup);
       !status.ok()) {
@@ -30,10 +28,27 @@ absl::StatusOr<ScopeRequest> DecodeScope(const v1::SearchScope& scope,
   request.asking = vehicle_id;
   request.exclude_own = scope.exclude_own();
   request.allow_partial = scope.allow_partial();
-  request.may_read = [caller = call->rights().Now()](const std::string& id) {
+  request.may_read = WhatMayBeRead(*call);
+  return request;
+}
+
+absl::StatusOr<std::vector<std::string>> DecodeVehicles(
+    const google::protobuf::RepeatedPtrField<std::string>& names,
+    const FieldPath& path) {
+  std::vector<std::string> ids;
+  for (int i = 0; i < names.size(); ++i) {
+    absl::StatusOr<std::string> id = ParseVehicleName(
+        names[i], path.At("vehicles", static_cast<std::size_t>(i)));
+    if (!id.ok()) return id.status();
+    ids.push_back(*std::move(id));
+  }
+  return ids;
+}
+
+std::function<bool(const std::string&)> WhatMayBeRead(const Call& call) {
+  return [caller = call.rights().Now()](const std::string& id) {
     return caller->May(Verb::kRead, id);
   };
-  return request;
 }
 
 }  // namespace revisit::server

@@ -1,10 +1,14 @@
-// What a search in a group needs before it can be made.
+// What a search in a group, and what else looks at the histories of its
+// members, needs before it can be made.
 #ifndef REVISIT_SERVER_SERVICE_GROUP_SEARCH_H_
 #define REVISIT_SERVER_SERVICE_GROUP_SEARCH_H_
 
+#include <functional>
 #include <string>
+#include <vector>
 
 #include "absl/status/statusor.h"
+#include "google/protobuf/repeated_field.h"
 #include "revisit/v1/candidate.pb.h"
 #include "server/fields/field_violations.h"
 #include "server/fleet/group_scope.h"
@@ -18,6 +22,14 @@ namespace revisit::server {
 absl::StatusOr<ScopeRequest> DecodeScope(const v1::SearchScope& scope,
                                          const std::string& vehicle_id,
                                          const FieldPath& path, Call* call);
+
+// The ids of the vehicles that the field `vehicles` below `path` names.
+absl::StatusOr<std::vector<std::string>> DecodeVehicles(
+    const google::protobuf::RepeatedPtrField<std::string>& names,
+    const FieldPath& path);
+
+// ScopeRequest::may_read of the call's caller.
+std::function<bool(const std::string&)> WhatMayBeRead(const Call& call);
 
 }  // namespace revisit::server
 

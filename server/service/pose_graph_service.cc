@@ -9,6 +9,7 @@
 #include "server/service/find_contradictions.h"
 #include "server/service/group_calls.h"
 #include "server/service/group_member_calls.h"
+#include "server/service/list_frame_transforms.h"
 #include "server/service/list_poses.h"
 #include "server/service/list_recordings.h"
 #include "server/service/list_vehicles.h"
@@ -272,6 +273,13 @@ grpc::ServerUnaryReactor* PoseGraphService::DeleteInterVehicleLoopClosure(
     grpc::ByteBuffer* response) {
   return Begin(service_, "DeleteInterVehicleLoopClosure",
                server::DeleteInterVehicleLoopClosure, call, request, response);
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::ListFrameTransforms(
+    grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+    grpc::ByteBuffer* response) {
+  return Begin(service_, "ListFrameTransforms", server::ListFrameTransforms,
+               call, request, response);
 }
 
 grpc::ServerUnaryReactor* PoseGraphService::AcceptDataLoss(

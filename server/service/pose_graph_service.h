@@ -67,7 +67,7 @@ using WithGroupLinks =
     Service::WithRawCallbackMethod_AddInterVehicleLoopClosure<
         Service::WithRawCallbackMethod_ListInterVehicleLoopClosures<
             Service::WithRawCallbackMethod_DeleteInterVehicleLoopClosure<
-                Base>>>;
+                Service::WithRawCallbackMethod_ListFrameTransforms<Base>>>>;
 template <typename Base>
 using WithOperations = Service::WithRawCallbackMethod_AcceptDataLoss<
     Service::WithRawCallbackMethod_GetServerInfo<Base>>;
@@ -183,6 +183,9 @@ class PoseGraphService final : public service_internal::AllMethods {
       grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
       grpc::ByteBuffer* response) override;
   grpc::ServerUnaryReactor* DeleteInterVehicleLoopClosure(
+      grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+      grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* ListFrameTransforms(
       grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
       grpc::ByteBuffer* response) override;
   grpc::ServerUnaryReactor* AcceptDataLoss(grpc::CallbackServerContext* call,

@@ -41,6 +41,16 @@ v1::UpdateGroupRequest FakeServer::last_group_update() const {
   return last_group_update_;
 }
 
+v1::ListFrameTransformsRequest FakeServer::last_frames() const {
+  std::lock_guard<std::mutex> lock(mutex_);
+  return last_frames_;
+}
+
+void FakeServer::set_revision_step(std::uint64_t step) {
+  std::lock_guard<std::mutex> lock(mutex_);
+  revision_step_ = step;
+}
+
 grpc::Status FakeServer::CreateGroup(grpc::ServerContext*,
                                      const v1::CreateGroupRequest* request,
                                      v1::CreateGroupResponse* response) {
@@ -228,6 +238,40 @@ grpc::Status FakeServer::ListInterVehicleLoopClosures(
              response->mutable_loop_closures(), response);
   }
   EndPage(request->page_token(), response->mutable_loop_closures(), response);
+  return NextUnaryStatus();
+}
+
+// Each member has one recording. The first page has those up to `vehicle`.
+grpc::Status FakeServer::ListFrameTransforms(
+    grpc::ServerContext*, const v1::ListFrameTransformsRequest* request,
+    v1::ListFrameTransformsResponse* response) {
+  {
+    std::lock_guard<std::mutex> lock(mutex_);
+    last_frames_ = *request;
+    const Group* const group = GroupOf(request->parent());
+    if (group == nullptr) return NoGroup();
+    const bool is_first = request->page_token().empty();
+    for (const auto& [name, member] : group->members) {
+      if (is_first != (member.vehicle() <= request->vehicle())) continue;
+      v1::FrameTransform* const transform = response->add_frame_transforms();
+      transform->set_vehicle(member.vehicle() + said_);
+      transform->set_recording(member.vehicle() + "/recordings/1" + said_);
+      transform->set_frame_state(v1::FRAME_STATE_KNOWN);
+      transform->set_loop_closure_count(3);
+      transform->mutable_frame_pose()->set_x_meters(12.5);
+      transform->mutable_frame_covariance()->set_form(
+          v1::COVARIANCE_FORM_PLANAR_6);
+      for (const double value : {4.0, 0.0, 0.0, 9.0, 0.0, 0.01}) {
+        transform->mutable_frame_covariance()->add_values(value);
+      }
+      transform->mutable_frame_reference()->set_y_meters(7.0);
+    }
+    response->set_group_revision(group->group.revision() +
+                                 (is_first ? 0 : revision_step_));
+    if (is_first) response->set_next_page_token("2");
+  }
+  EndPage(request->page_token(), response->mutable_frame_transforms(),
+          response);
   return NextUnaryStatus();
 }
 

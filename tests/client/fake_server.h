@@ -155,6 +155,10 @@ class FakeServer final : public v1::PoseGraphService::Service {
   // What each search was asked, in order.
   std::vector<v1::FindCandidatesRequest> Searches() const;
   v1::UpdateGroupRequest last_group_update() const;
+  v1::ListFrameTransformsRequest last_frames() const;
+  // From the first page of ListFrameTransforms() to the second, the group's
+  // revision grows by this.
+  void set_revision_step(std::uint64_t step);
   // Names that deletions asked for, in order.
   std::vector<std::string> Deleted() const;
   int largest_batch() const;
@@ -244,6 +248,9 @@ class FakeServer final : public v1::PoseGraphService::Service {
   grpc::Status AddInterVehicleLoopClosure(
       grpc::ServerContext*, const v1::AddInterVehicleLoopClosureRequest*,
       v1::AddInterVehicleLoopClosureResponse*) override;
+  grpc::Status ListFrameTransforms(grpc::ServerContext*,
+                                   const v1::ListFrameTransformsRequest*,
+                                   v1::ListFrameTransformsResponse*) override;
   grpc::Status ListInterVehicleLoopClosures(
       grpc::ServerContext*, const v1::ListInterVehicleLoopClosuresRequest*,
       v1::ListInterVehicleLoopClosuresResponse*) override;
@@ -327,6 +334,8 @@ class FakeServer final : public v1::PoseGraphService::Service {
   std::map<std::string, Group> groups_;
   std::vector<v1::FindCandidatesRequest> searches_;
   v1::UpdateGroupRequest last_group_update_;
+  v1::ListFrameTransformsRequest last_frames_;
+  std::uint64_t revision_step_ = 0;
 };
 
 template <typename Page, typename Items>

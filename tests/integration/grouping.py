@@ -108,6 +108,12 @@ def link_pages(stub, group, page_size=0):
             parent=group, page_size=page_size), "loop_closures"))
 
 
+def frame_pages(stub, group, vehicle, page_size=0, **fields):
+    return list(_pages(stub.ListFrameTransforms, api.ListFrameTransformsRequest(
+        parent=group, vehicle=vehicle, page_size=page_size, **fields),
+        "frame_transforms"))
+
+
 def members_of(stub, group):
     """The names of the vehicles."""
     return [member.vehicle for page in member_pages(stub, group)
@@ -131,6 +137,8 @@ def group_requests(group, vehicle, other):
         "DeleteInterVehicleLoopClosure": api.DeleteInterVehicleLoopClosureRequest(
             name=f"{group}/loopClosures/a"),
         "GetGroup": api.GetGroupRequest(name=group),
+        "ListFrameTransforms": api.ListFrameTransformsRequest(
+            parent=group, vehicle=vehicle),
         "ListGroupMembers": api.ListGroupMembersRequest(parent=group),
         "ListGroups": api.ListGroupsRequest(),
         "ListInterVehicleLoopClosures": api.ListInterVehicleLoopClosuresRequest(

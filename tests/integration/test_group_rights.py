@@ -6,8 +6,8 @@ import pytest
 
 from caller_identities import METHODS, POLICY, As, Code
 from grouping import (add_link, add_member, add_vehicle, create_group, delete_group,
-                      get_group, group_pages, group_requests, links_of, members_of,
-                      remove_member, update_group, update_member)
+                      frame_pages, get_group, group_pages, group_requests, links_of,
+                      members_of, remove_member, update_group, update_member)
 from identities import replace
 from revisit_server import Server
 from stubs import api
@@ -18,7 +18,14 @@ pytest_plugins = ("caller_identities",)
 ABOUT_GROUPS = sorted(group_requests("groups/g", "vehicles/a", "vehicles/b"))
 # Methods that name a group.
 NAMING = sorted(set(ABOUT_GROUPS) - {"ListGroups"})
-READS = {"GetGroup", "ListGroupMembers", "ListInterVehicleLoopClosures"}
+READS = {"GetGroup", "ListFrameTransforms", "ListGroupMembers",
+         "ListInterVehicleLoopClosures"}
+
+
+def frames_of(stub, group, vehicle, **fields):
+    """The members whose frames are told, with one recording each."""
+    return [one.vehicle for page in frame_pages(stub, group, vehicle, **fields)
+            for one in page]
 
 
 def call(stub, method, group, vehicle="vehicles/acme-a", other="vehicles/acme-b"):
@@ -28,7 +35,8 @@ def call(stub, method, group, vehicle="vehicles/acme-a", other="vehicles/acme-b"
 
 def test_every_method_of_groups_is_asked_about_here():
     assert ABOUT_GROUPS == [name for name in METHODS
-                            if "Group" in name or "InterVehicle" in name]
+                            if "Group" in name or "InterVehicle" in name
+                            or "Frame" in name]
 
 
 @pytest.mark.parametrize("method", NAMING)
@@ -174,6 +182,17 @@ def test_lists_of_groups_are_granted_beside_those_of_vehicles(site_server):
     assert members_of(planner, seen) == [car, truck]
     assert links_of(planner, seen) == [shown]
     assert len(links_of(acme, seen)) == 2
+    assert frames_of(planner, seen, car) == [car, truck]
+    assert frames_of(acme, seen, car) == [car, truck, hidden]
+    for vehicle, asked in ((hidden, []), (car, [hidden])):
+        failure = failure_of(lambda v=vehicle, a=asked: frames_of(
+            planner, seen, v, vehicles=a))
+        gone = failure_of(lambda v=vehicle, a=asked: frames_of(
+            planner, seen, v.replace("20", "99"),
+            vehicles=[one.replace("20", "99") for one in a]))
+        assert (failure.code, failure.reason) == (
+            Code.NOT_FOUND, "MEMBER_NOT_FOUND")
+        assert failure.message.replace("acme-20", "acme-99") == gone.message
     for change in (update_member, remove_member):
         told = [failure_of(lambda c=change, n=name: c(planner, f"{seen}/members/{n}"))
                 for name in ("acme-20", "acme-99")]

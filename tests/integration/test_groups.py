@@ -8,9 +8,9 @@ import grpc
 import pytest
 
 from grouping import (PLANAR, add_link, add_member, add_vehicle, create_group, datum,
-                      delete_group, delete_link, get_group, group_pages, link_pages,
-                      links_of, member_pages, members_of, remove_member, update_group,
-                      update_member)
+                      delete_group, delete_link, frame_pages, get_group, group_pages,
+                      link_pages, links_of, member_pages, members_of, remove_member,
+                      update_group, update_member)
 from own_postgres import exit_without_postgres, own_shared_store
 from revisit_server import Server
 from stubs import api
@@ -99,6 +99,8 @@ GROUP_CALLS = {
         stub, name, "display_name")),
     "DeleteGroup": ("name", delete_group),
     "AddGroupMember": ("parent", lambda stub, name: add_member(
+        stub, name, "vehicles/a")),
+    "ListFrameTransforms": ("parent", lambda stub, name: frame_pages(
         stub, name, "vehicles/a")),
     "ListGroupMembers": ("parent", member_pages),
     "AddInterVehicleLoopClosure": ("parent", lambda stub, name: add_link(

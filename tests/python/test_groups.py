@@ -50,7 +50,7 @@ for _method in ("CreateGroup", "GetGroup", "ListGroups", "UpdateGroup", "DeleteG
                 "AddGroupMember", "UpdateGroupMember", "RemoveGroupMember",
                 "ListGroupMembers", "AddInterVehicleLoopClosure",
                 "ListInterVehicleLoopClosures", "DeleteInterVehicleLoopClosure",
-                "FindCandidates"):
+                "ListFrameTransforms", "FindCandidates"):
     setattr(FakeGroups, _method, _handler(_method))
 
 
@@ -206,6 +206,38 @@ def test_lists_have_all_pages_also_behind_an_empty_one(call, method, arguments, 
         assert {request.parent for _, request in fake.asked} == {"groups/depot"}
 
 
+def frame_pages(*revisions):
+    """Answers of ListFrameTransforms: the tenth recording comes after the second."""
+    names = {"": ["vehicles/a/recordings/2", "vehicles/a/recordings/10"],
+             "2": ["vehicles/a-b/recordings/1", "vehicles/b/recordings/1"]}
+
+    def page(request):
+        token = request.page_token
+        return v1.ListFrameTransformsResponse(
+            next_page_token="" if token else "2",
+            group_revision=revisions[1 if token else 0],
+            frame_transforms=[v1.FrameTransform(recording=name)
+                              for name in names[token]])
+    return page
+
+
+def test_frames_are_listed_over_all_pages_of_one_revision(call):
+    fake = FakeGroups(*[NOT_READY] * 3)
+    fake.answers["ListFrameTransforms"] = frame_pages(7, 7)
+    with serving(fake) as address:
+        listed = call(address, "list_frame_transforms", "depot", "a", vehicles="b",
+                      allow_partial=True)
+        fake.answers["ListFrameTransforms"] = frame_pages(7, 8)
+        with pytest.raises(revisit.Aborted, match="changed while"):
+            call(address, "list_frame_transforms", "depot", "a")
+    assert [one.recording.removeprefix("vehicles/") for one in listed] == [
+        "a/recordings/2", "a/recordings/10", "a-b/recordings/1", "b/recordings/1"]
+    _, asked = fake.asked[0]
+    assert asked == v1.ListFrameTransformsRequest(
+        parent="groups/depot", vehicle="vehicles/a", vehicles=["vehicles/b"],
+        allow_partial=True, page_size=1000)
+
+
 def test_a_search_waits_for_the_histories_of_a_group_until_its_deadline(call):
     fake = FakeGroups(*[NOT_READY] * 20)
     fake.answers["FindCandidates"] = v1.FindCandidatesResponse(
@@ -241,7 +273,8 @@ def test_what_may_undo_a_change_by_others_is_never_repeated(call, method, argume
     ("create_group", ("g",)), ("get_group", ("g",)), ("list_groups", ()),
     ("add_group_member", ("g", "a")), ("list_group_members", ("g",)),
     ("add_inter_vehicle_loop_closure", ("g", ("a", 1), ("b", 2))),
-    ("list_inter_vehicle_loop_closures", ("g",))])
+    ("list_inter_vehicle_loop_closures", ("g",)),
+    ("list_frame_transforms", ("g", "a"))])
 def test_what_is_answered_the_same_again_is_repeated(call, method, arguments):
     fake = FakeGroups(UNAVAILABLE)
     with serving(fake) as address:

@@ -53,8 +53,10 @@ def join(client: revisit.Client) -> int:
     added = client.add_group_member("g", "a", placed)
     found = client.find_candidates("a", group="g", vehicles=["b"], exclude_own=True)
     linked = client.add_inter_vehicle_loop_closure("g", "a", found.candidates[0])
+    frames: list[v1.FrameTransform] = list(
+        client.list_frame_transforms("g", "a", vehicles="b", allow_partial=True))
     members: list[str] = [member.vehicle for member in client.list_group_members("g")]
-    return added.revision + linked.revision + made.revision + len(members)
+    return added.revision + linked.revision + made.revision + len(members) + len(frames)
 
 async def join_awaited(client: revisit.aio.Client) -> str:
     await client.update_group_member("g", "a", None, expected_revision=3)

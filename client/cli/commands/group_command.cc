@@ -7,6 +7,7 @@
 #include "client/answers/exact_text.h"
 #include "client/answers/names.h"
 #include "client/answers/pages.h"
+#include "client/cli/commands/group_frames_command.h"
 #include "client/cli/commands/member_commands.h"
 #include "client/cli/commands/printed_change.h"
 #include "client/cli/commands/shared_flags.h"
@@ -207,6 +208,7 @@ void AddGroupCommand(const Command& program) {
   AddListGroups(group);
   AddUpdateGroup(group);
   AddMemberCommands(group);
+  AddGroupFramesCommand(group);
   AddDeletion(
       group,
       {"delete",

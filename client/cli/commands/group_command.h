@@ -1,5 +1,5 @@
-// revisit group create|get|list|update|delete, and those of its members
-// (member_commands.h)
+// revisit group create|get|list|update|delete, those of its members
+// (member_commands.h) and of their frames (group_frames_command.h)
 #ifndef REVISIT_CLIENT_CLI_COMMANDS_GROUP_COMMAND_H_
 #define REVISIT_CLIENT_CLI_COMMANDS_GROUP_COMMAND_H_
 

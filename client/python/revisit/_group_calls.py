@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Optional, Union
 
 from google.protobuf import field_mask_pb2
@@ -10,9 +10,10 @@ from numpy.typing import ArrayLike
 
 from revisit import v1
 from revisit._calls import (
-    PAGE, Call, Pages, add_findings, coordinates_of, covariance_of, group_name, unary,
-    vehicle_name)
+    PAGE, Call, Pages, Vehicles, add_findings, coordinates_of, covariance_of,
+    group_name, unary, vehicle_name, vehicle_names)
 from revisit._settings import merged
+from revisit.errors import Aborted
 
 #: A pose of a vehicle: its id or name, and the sequence.
 MemberPose = tuple[str, int]
@@ -140,6 +141,33 @@ def add_inter_vehicle_loop_closure(
 def list_inter_vehicle_loop_closures(group: str) -> Pages[v1.InterVehicleLoopClosure]:
     return Pages("ListInterVehicleLoopClosures", v1.ListInterVehicleLoopClosuresRequest(
         parent=group_name(group), page_size=PAGE), "loop_closures")
+
+
+class _FrameTransforms(Pages[v1.FrameTransform]):
+    """Pages of frames, which must all be of one revision of the group."""
+
+    _revision: Optional[int] = None
+
+    def items(self, page: v1.ListFrameTransformsResponse
+              ) -> Iterator[v1.FrameTransform]:
+        if self._revision not in (None, page.group_revision):
+            raise Aborted("the group changed while its frames were listed: list them "
+                          "again")
+        self._revision = page.group_revision
+        return super().items(page)
+
+
+def _place_of(transform: v1.FrameTransform) -> tuple[str, int]:
+    vehicle, _, first = transform.recording.rpartition("/recordings/")
+    return vehicle, int(first) if first.isdigit() else 0
+
+
+def list_frame_transforms(group: str, vehicle: str, vehicles: Vehicles,
+                          allow_partial: bool) -> Pages[v1.FrameTransform]:
+    return _FrameTransforms("ListFrameTransforms", v1.ListFrameTransformsRequest(
+        parent=group_name(group), vehicle=vehicle_name(vehicle),
+        vehicles=vehicle_names(vehicles), allow_partial=allow_partial, page_size=PAGE),
+        "frame_transforms", order=_place_of)
 
 
 def delete_inter_vehicle_loop_closure(name: str) -> Call[Any]:

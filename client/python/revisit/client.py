@@ -436,6 +436,17 @@ class Client:
         """Removes a loop closure from its group, by its resource name."""
         self._run(_group_calls.delete_inter_vehicle_loop_closure(name))
 
+    def list_frame_transforms(self, group: str, vehicle: str, *,
+                              vehicles: Vehicles = None, allow_partial: bool = False
+                              ) -> Iterator[v1.FrameTransform]:
+        """Where the recordings of a group's members, or of those that `vehicles` names,
+        lie in the frame of the last recording of `vehicle`, with the errors: by these
+        the members can be drawn in one map. Waits for the histories, as
+        `find_candidates()` in a group does, unless `allow_partial`. Aborted if the
+        group changes from page to page."""
+        return self._pages(_group_calls.list_frame_transforms(
+            group, vehicle, vehicles, allow_partial))
+
     # Checks that are stored, of vehicles whose setting `checks` asks for it.
 
     def get_check(self, name: str) -> v1.Check:

@@ -189,6 +189,8 @@ TEST_F(ClientTest, RepeatsOfTheCallsAboutGroupsThoseThatAnswerTheSameAgain) {
   link.set_parent("groups/depot");
   v1::ListInterVehicleLoopClosuresRequest links;
   links.set_parent("groups/depot");
+  v1::ListFrameTransformsRequest frames;
+  frames.set_parent("groups/depot");
   const std::vector<std::function<absl::Status()>> repeated = {
       [&] { return client_.CreateGroup(create).status(); },
       [&] { return client_.GetGroup(get).status(); },
@@ -196,7 +198,8 @@ TEST_F(ClientTest, RepeatsOfTheCallsAboutGroupsThoseThatAnswerTheSameAgain) {
       [&] { return client_.AddGroupMember(member).status(); },
       [&] { return client_.ListGroupMembers(members).status(); },
       [&] { return client_.AddInterVehicleLoopClosure(link).status(); },
-      [&] { return client_.ListInterVehicleLoopClosures(links).status(); }};
+      [&] { return client_.ListInterVehicleLoopClosures(links).status(); },
+      [&] { return client_.ListFrameTransforms(frames).status(); }};
   for (std::size_t i = 0; i < repeated.size(); ++i) {
     server_.FailUnaryCalls({StoreUnavailable()});
     EXPECT_EQ(repeated[i](), absl::OkStatus()) << i;

@@ -103,6 +103,66 @@ TEST(JoinedDrivesTest, DrivesAreTiedAsTheRecordingsOfOneDriveAre) {
   }
 }
 
+// A drive of two recordings: the second one goes on behind the first.
+Drive DriveOfTwo(std::size_t from) {
+  Drive drive = DriveOver(from, from + 100, nullptr);
+  RecordingStart after;
+  after.relation = RecordingRelation::kAfter;
+  for (int i = 0; i < 4; ++i) after.covariance(i, i) = 0.25;
+  drive.Append(RecordingOf(Part(from + 100, from + 200),
+                           std::make_shared<const RecordingStart>(after),
+                           drive.last_sequence()),
+               2);
+  return drive;
+}
+
+TEST(JoinedDrivesTest, OwnRecordingsAreSeenFromTheLastOneAsByTheDriveItself) {
+  const Drive a = DriveOver(0, 100, nullptr);
+  const Drive b = DriveOfTwo(100);
+  // The scale of a view is for others to see it.
+  const JoinedDrives joined({{a.View(3.0)}, {b.View(3.0)}}, {});
+  const auto seen = joined.SeenFromLast(1);
+  const auto own = b.RelationsAt(b.graph().size() - 1).From(1);
+  ASSERT_EQ(seen[1].size(), 2u);
+  EXPECT_EQ(seen[1][1].state, FrameState::kSame);
+  EXPECT_EQ(seen[1][0].state, FrameState::kAfter);
+  for (std::size_t k = 0; k < 2; ++k) {
+    EXPECT_TRUE(AreEqual(seen[1][k], own[k])) << k;
+  }
+  ASSERT_EQ(seen[0].size(), 1u);
+  EXPECT_EQ(seen[0][0].state, FrameState::kNone);
+}
+
+TEST(JoinedDrivesTest, OthersAreSeenFromTheLastRecordingOverWhatTiesThem) {
+  const Drive a = DriveOver(0, 100, nullptr);
+  const Drive b = DriveOfTwo(100);
+  const Drive c = DriveOfTwo(300);
+  DriveSettings spatial;
+  spatial.state_space = StateSpace::kSpatial;
+  const Drive other = DriveOver(0, 100, nullptr, spatial);
+  const Drive empty{DriveSettings{}};
+  // The links are of first recordings.
+  const auto joined =
+      Join({&a, &b, &c, &other, &empty},
+           {{0, 1, {40, 30, nullptr}}, {1, 2, {10, 20, nullptr}}});
+  const auto seen = joined->SeenFromLast(2);
+  EXPECT_EQ(seen[1][0].state, FrameState::kAfter);
+  EXPECT_EQ(seen[1][0].links, 0);
+  EXPECT_EQ(seen[1].size(), 2u);
+  EXPECT_GT(seen[0][0].known_drift.norm(), 0.0);
+  // As from one frame to the next.
+  const SeenFrames frames = SeenBy(*joined, c, 2);
+  EXPECT_TRUE(AreEqual(
+      seen[0][0], frames.relations.From(
+                      frames.own + 1)[*joined->FrameOf(0, c.frame_nodes())]));
+  const auto direct = joined->SeenFromLast(0);
+  EXPECT_EQ(direct[1][0].links, 1);
+  EXPECT_EQ(direct[1][0].state, FrameState::kProvisional);
+  EXPECT_TRUE(seen[3].empty());
+  EXPECT_TRUE(seen[4].empty());
+  for (const auto& drive : joined->SeenFromLast(4)) EXPECT_TRUE(drive.empty());
+}
+
 TEST(JoinedDrivesTest, ALinkTiesAndARevisedLinkTiesOtherwise) {
   const Drive a = DriveOver(0, 300, nullptr);
   const Drive b = DriveOver(0, 300, nullptr);

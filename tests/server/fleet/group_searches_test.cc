@@ -32,6 +32,7 @@ using absl::StatusCode;
 using ::testing::_;
 using ::testing::ElementsAre;
 using ::testing::IsEmpty;
+using ::testing::Pointee;
 
 using Ready = absl::StatusOr<GroupScope>;
 
@@ -194,6 +195,10 @@ class GroupSearchesTest : public ::testing::Test {
     // The asking vehicle is in memory.
     const auto session = fleet_->Session(request.asking);
     EXPECT_THAT(ReadNow(*session), IsOk());
+    return BeginToPrepareUnheld(std::move(request));
+  }
+
+  Answer<std::shared_ptr<Ready>> BeginToPrepareUnheld(ScopeRequest request) {
     if (!request.may_read) {
       request.may_read = [](const std::string&) { return true; };
     }
@@ -283,6 +288,37 @@ TEST_F(GroupSearchesTest, AnswersInPartWhereThatIsAllowed) {
   ASSERT_EQ(ready->absent.size(), 2u);
   EXPECT_EQ(ready->absent[0].vehicle_id, "a");
   EXPECT_EQ(ready->absent[0].absence, Absence::kNotReady);
+}
+
+// Nobody holds a session of the asking vehicle.
+TEST_F(GroupSearchesTest, ANeededVehicleIsReadFromTheStoreAsOthersAre) {
+  Start();
+  memory_.HoldAllBut(KeyOf("a"));
+  ScopeRequest request = Asking("b");
+  request.needs_asking = true;
+  request.allow_partial = true;
+  const auto prepare = [&] { return *BeginToPrepareUnheld(request).Get(); };
+  EXPECT_THAT(prepare(), IsNotReady());
+  memory_.Release();
+  Ready ready = prepare();
+  while (absl::IsUnavailable(ready.status())) ready = prepare();
+  ASSERT_THAT(ready, IsOk());
+  EXPECT_EQ(ready->joined->histories[*ready->scope.asking]->vehicle_id, "b");
+  EXPECT_EQ(fleet_->SessionIfLoaded("b"), nullptr);
+}
+
+TEST_F(GroupSearchesTest, ANeededVehicleIsAMemberThatMayBeRead) {
+  Create("d");
+  AppendToStore("d", 1, 200);
+  ScopeRequest request = Asking("d");
+  EXPECT_THAT(BeginToPrepareUnheld(request).Get(), Pointee(IsOk()));
+  request.needs_asking = true;
+  EXPECT_THAT(BeginToPrepareUnheld(request).Get(),
+              Pointee(IsError(StatusCode::kNotFound, "MEMBER_NOT_FOUND", _)));
+  request.asking = "b";
+  request.may_read = [](const std::string& id) { return id != "b"; };
+  EXPECT_THAT(BeginToPrepareUnheld(request).Get(),
+              Pointee(IsError(StatusCode::kNotFound, "MEMBER_NOT_FOUND", _)));
 }
 
 TEST_F(GroupSearchesTest, KeepsUpWithVehiclesWhereverTheyAre) {

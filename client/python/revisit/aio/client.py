@@ -320,6 +320,12 @@ class Client:
     async def delete_inter_vehicle_loop_closure(self, name: str) -> None:
         await self._run(_group_calls.delete_inter_vehicle_loop_closure(name))
 
+    def list_frame_transforms(self, group: str, vehicle: str, *,
+                              vehicles: Vehicles = None, allow_partial: bool = False
+                              ) -> AsyncIterator[v1.FrameTransform]:
+        return self._pages(_group_calls.list_frame_transforms(
+            group, vehicle, vehicles, allow_partial))
+
     # Checks that are stored, of vehicles whose setting `checks` asks for it.
 
     async def get_check(self, name: str) -> v1.Check:

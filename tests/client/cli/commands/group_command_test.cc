@@ -100,6 +100,42 @@ TEST_F(GroupCommandTest, UpdateOfNothingIsAWrongUsage) {
             kExitUsage);
 }
 
+TEST_F(GroupCommandTest, FramesAreToldOfAllPagesThatFitTogether) {
+  ASSERT_TRUE(Line({"group", "create", "depot"}).ok());
+  for (const char* vehicle : {"a", "b", "c"}) {
+    ASSERT_TRUE(Line({"group", "add", "depot", vehicle}).ok());
+  }
+  const std::vector<const char*> frames = {"group", "frames", "depot", "--from",
+                                           "b"};
+  ASSERT_TRUE(Line(frames).ok());
+  EXPECT_THAT(out_.str(), ContainsRegex("RECORDING +LOOPS +FRAME +FRAME X m"));
+  EXPECT_THAT(out_.str(), ContainsRegex("vehicles/a/recordings/1 +3 +KNOWN "
+                                        "+12.50 +0.00 +0.0000\n"));
+  EXPECT_THAT(out_.str(), HasSubstr("vehicles/c/recordings/1"));
+  ASSERT_TRUE(Line(frames, As(OutputFormat::kWide)).ok());
+  EXPECT_THAT(out_.str(), ContainsRegex("vehicles/c/recordings/1 .* 2\\.0+ +"
+                                        "3\\.0+ +- +0\\.1[0 ]+ +0.00 +7.00"));
+  ASSERT_TRUE(Line(frames, As(OutputFormat::kName)).ok());
+  EXPECT_EQ(out_.str(),
+            "vehicles/a/recordings/1\nvehicles/b/recordings/1\n"
+            "vehicles/c/recordings/1\n");
+  ASSERT_TRUE(Line({"group", "frames", "depot", "--from", "b", "--in", "a,c",
+                    "--partial"},
+                   Json())
+                  .ok());
+  const json all = json::parse(out_.str());
+  EXPECT_EQ(all["frameTransforms"].size(), 3u);
+  EXPECT_EQ(all["groupRevision"], 4);
+  EXPECT_THAT(server_.last_frames().vehicles(),
+              ElementsAre("vehicles/a", "vehicles/c"));
+  EXPECT_EQ(server_.last_frames().vehicle(), "vehicles/b");
+  EXPECT_TRUE(server_.last_frames().allow_partial());
+  server_.set_revision_step(1);
+  EXPECT_TRUE(absl::IsAborted(Line(frames)));
+  EXPECT_EQ(out_.str(), "");
+  EXPECT_EQ(ExitCodeOf(Line({"group", "frames", "depot"})), kExitUsage);
+}
+
 TEST_F(GroupCommandTest, DeletionAsksForTheIdAndSaysWhatGoes) {
   ASSERT_TRUE(Line({"group", "create", "depot"}).ok());
   std::vector<std::string> questions;

@@ -21,6 +21,7 @@
 #include "client/cli/commands/find_command.h"
 #include "client/cli/commands/findings_command.h"
 #include "client/cli/commands/group_command.h"
+#include "client/cli/commands/group_frames_command.h"
 #include "client/cli/commands/info_command.h"
 #include "client/cli/commands/link_command.h"
 #include "client/cli/commands/map_command.h"
@@ -222,6 +223,13 @@ class HostileServerTest : public CommandTest {
         {"group add",
          [this](const Terminal& c) {
            return RunMemberAdd(client_, {"g", "a"}, {}, c);
+         }},
+        {"group frames",
+         [this](const Terminal& c) {
+           v1::ListFrameTransformsRequest request;
+           request.set_parent("g");
+           request.set_vehicle("a");
+           return RunGroupFrames(client_, request, c);
          }},
         {"group members",
          [this](const Terminal& c) { return RunMembers(client_, "g", c); }},
