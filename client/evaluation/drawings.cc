@@ -123,6 +123,13 @@ MapContents JudgedMap(const DriveResult& result, bool one_frame) {
   return contents;
 }
 
+absl::Status WriteMapFile(const std::string& file,
+                          const MapContents& contents) {
+  return Write(file, std::filesystem::path(file).extension() == ".html"
+                         ? MapPage(contents)
+                         : DrawMap(contents));
+}
+
 absl::Status WriteMap(const EvaluateOptions& options,
                       const DriveResult& result) {
   if (result.nodes.empty()) {
@@ -130,11 +137,9 @@ absl::Status WriteMap(const EvaluateOptions& options,
         result.drive, ": there is nothing to draw, the pose graph is empty")));
   }
   // Fixes and their reference are in one frame already.
-  const MapContents contents =
-      JudgedMap(result, options.geodetic || options.fix_noise.has_value());
-  const std::filesystem::path path(options.map);
-  return Write(options.map, path.extension() == ".html" ? MapPage(contents)
-                                                        : DrawMap(contents));
+  return WriteMapFile(
+      options.map,
+      JudgedMap(result, options.geodetic || options.fix_noise.has_value()));
 }
 
 absl::Status WritePlots(const EvaluateOptions& options, const Report& report) {

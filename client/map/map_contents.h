@@ -1,4 +1,5 @@
-// The contents of a map of one vehicle, whatever it is drawn with.
+// The contents of a map of one vehicle, or of one among others, whatever it is
+// drawn with.
 #ifndef REVISIT_CLIENT_MAP_MAP_CONTENTS_H_
 #define REVISIT_CLIENT_MAP_MAP_CONTENTS_H_
 
@@ -95,6 +96,8 @@ struct MapRecording {
   std::string label;
   // Colour of what is drawn, in the form of MapStyle.color.
   std::string color;
+  // The id of its vehicle, if that is another one than the one whose map it is.
+  std::string vehicle = "";
 };
 
 struct MapContents {
@@ -103,6 +106,9 @@ struct MapContents {
   // In one frame, but for recordings that nothing ties to it, which lie beside
   // the others.
   std::vector<MapNode> nodes;
+  // Where those of the vehicle begin whose map it is; those before it are of
+  // other vehicles.
+  std::size_t own_begin = 0;
   // One behind the other, from the first node on; empty where there is one.
   std::vector<MapRecording> recordings;
   // One for each node, in the frame of the estimate; empty if it is not known.

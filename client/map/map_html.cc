@@ -106,11 +106,13 @@ Json ContentsJson(const MapContents& contents) {
                     {"closure", kMapClosure},
                     {"rejection", kMapRejection}};
   json["nodes"] = NodesJson(contents.nodes);
+  json["own_begin"] = contents.own_begin;
   json["recordings"] = Json::array();
   for (const MapRecording& recording : contents.recordings) {
     json["recordings"].push_back({{"node", recording.first_node},
                                   {"label", Printable(recording.label)},
-                                  {"color", recording.color}});
+                                  {"color", recording.color},
+                                  {"vehicle", Printable(recording.vehicle)}});
   }
   json["truth"] = TruthJson(contents.truth);
   json["styles"] = Json::array();

@@ -78,7 +78,7 @@ function zoom(factor, px, py) {
 const stretches = recordings.length === 0
   ? [{ begin: 0, end: nodes.x.length, color: colors.estimate }]
   : recordings.map((recording, k) => ({
-    begin: recording.node, color: recording.color,
+    begin: recording.node, color: recording.color, vehicle: recording.vehicle,
     end: k + 1 < recordings.length ? recordings[k + 1].node : nodes.x.length }));
 
 function path(xs, ys, begin, end, color, width) {
@@ -206,9 +206,9 @@ function drawChosen() {
   dot(atNode(chosen.check.node), 8, "rgba(0,0,0,0)", "#000", 2);
 }
 
-// Tags at the two ends of the drive, on either side where they lie together.
+// Tags at the two ends of the vehicle's own drive, on either side where they lie together.
 function drawEnds() {
-  const [start, end] = [atNode(0), atNode(nodes.x.length - 1)];
+  const [start, end] = [atNode(data.own_begin), atNode(nodes.x.length - 1)];
   const together = Math.abs(start[0] - end[0]) < 60 && Math.abs(start[1] - end[1]) < 40;
   const endIsLower = end[1] > start[1];
   pen.textAlign = "center";
@@ -265,8 +265,12 @@ function draw() {
 
 // ---- Numbers of what was clicked
 
+// The other vehicle that a node is of; "" where it is none.
+const vehicleOf = (node) =>
+  stretches.find(({ begin, end }) => begin <= node && node < end).vehicle || "";
+
 const place = (node) =>
-  `sequence ${nodes.sequence[node]}, ${nodes.travelled[node].toFixed(1)} m` +
+  `${vehicleOf(node) && vehicleOf(node) + ", "}sequence ${nodes.sequence[node]}, ${nodes.travelled[node].toFixed(1)} m` +
   (nodes.time ? `, ${nodes.time[node]}` : "");
 
 function element(tag, text, kind) {
@@ -293,6 +297,7 @@ const columns = [
   ["probability", (c) => (c.probability === undefined ? "-" : c.probability.toFixed(4))],
   ["along m", (c) => (c.probability === undefined ? "-"
     : `${(-c.before).toFixed(0)} to ${c.after.toFixed(0)}`)],
+  ["vehicle", (c) => vehicleOf(c.node) || "itself", "word"],
   ["sequence", (c) => nodes.sequence[c.node]],
   ["travelled m", (c) => nodes.travelled[c.node].toFixed(1)],
   ["direction", (c) => (c.opposite ? "opposite" : "same"), "word"],
@@ -303,6 +308,7 @@ const columns = [
   ["p-value", (c) => fixed(c.p_value, 4)],
   ["time", (c) => nodes.time[c.node], "word"],
 ].filter(([name]) => (name !== "time" || nodes.time) &&
+                     (name !== "vehicle" || data.own_begin > 0) &&
                      (name !== "frame" || recordings.length > 0));
 
 function candidateTable(check) {

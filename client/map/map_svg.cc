@@ -298,9 +298,10 @@ class Drawing {
          "");
   }
 
-  // Tags at the two ends of the drive, on either side where they lie together.
+  // Tags at the two ends of the vehicle's own drive, on either side where they
+  // lie together.
   void DrawEnds() {
-    const PixelPoint start = AtNode(0);
+    const PixelPoint start = AtNode(contents_.own_begin);
     const PixelPoint end = AtNode(contents_.nodes.size() - 1);
     const bool together =
         std::abs(start.x - end.x) < 60.0 && std::abs(start.y - end.y) < 40.0;

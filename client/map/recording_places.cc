@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstddef>
 #include <string>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "client/answers/names.h"
@@ -46,17 +47,53 @@ void Move(const v1::StatePose& frame, MapNode* node) {
   node->yy = s * s * xx + 2.0 * c * s * xy + c * c * yy;
 }
 
-bool IsTied(const v1::Recording& recording) {
-  return recording.has_frame_pose();
+std::string LabelOf(const v1::Recording& recording) {
+  return absl::StrCat(
+      recording.label().empty()
+          ? absl::StrCat("from ", recording.first_sequence())
+          : recording.label(),
+      ": ",
+      CertaintyText(recording.frame_state(), recording.frame_covariance(),
+                    "the last one"));
 }
 
-// How well it is known where a recording lies, in words.
-std::string CertaintyOf(const v1::Recording& recording) {
-  if (!IsTied(recording)) return "tied by nothing, drawn beside the others";
-  if (recording.frame_state() == v1::FRAME_STATE_SAME) return "the last one";
-  std::string text = NameOf(recording.frame_state());
-  if (recording.has_frame_covariance()) {
-    const StateMatrix c = StateCovariance(recording.frame_covariance());
+// Where the stretches of a map lie that are tied to it, and then those that are
+// put beside them.
+class Placed {
+ public:
+  void Include(const Box& box) {
+    if (!any_) all_ = box;
+    any_ = true;
+    all_.Include(box.low);
+    all_.Include(box.high);
+  }
+  // How far a stretch has to go that is put beside all others.
+  MapPoint Beside(const Box& box) const {
+    if (!any_) return {};
+    const double gap = 0.08 * std::max({all_.high.x - all_.low.x,
+                                        box.high.x - box.low.x, 10.0});
+    return {all_.high.x + gap - box.low.x, all_.low.y - box.low.y};
+  }
+
+ private:
+  Box all_;
+  bool any_ = false;
+};
+
+}  // namespace
+
+std::string StretchColor(std::size_t k) { return kColors[k % kColors.size()]; }
+
+std::string CertaintyText(v1::FrameState state,
+                          const v1::Covariance& covariance,
+                          const std::string& same) {
+  if (state == v1::FRAME_STATE_SAME) return same;
+  if (state == v1::FRAME_STATE_NONE) {
+    return "tied by nothing, drawn beside the others";
+  }
+  std::string text = NameOf(state);
+  if (!covariance.values().empty()) {
+    const StateMatrix c = StateCovariance(covariance);
     absl::StrAppend(&text, ", within ",
                     Fixed(std::sqrt(0.5 * (c[0] + c[5])), 1), " m and ",
                     Fixed(std::sqrt(c[15]) / kRadiansPerDegree, 1), " degrees");
@@ -64,64 +101,57 @@ std::string CertaintyOf(const v1::Recording& recording) {
   return text;
 }
 
-std::string LabelOf(const v1::Recording& recording) {
-  return absl::StrCat(recording.label().empty()
-                          ? absl::StrCat("from ", recording.first_sequence())
-                          : recording.label(),
-                      ": ", CertaintyOf(recording));
+void PlaceStretches(const std::vector<FramedStretch>& stretches,
+                    MapContents* contents) {
+  std::vector<MapNode>& nodes = contents->nodes;
+  for (const FramedStretch& stretch : stretches) {
+    contents->recordings.push_back(
+        {stretch.first_node, stretch.label, stretch.color, stretch.vehicle});
+  }
+  const std::vector<MapStretch> ranges = StretchesOf(*contents);
+  const auto box_of = [&](const MapStretch& range) {
+    Box box{nodes[range.begin].at, nodes[range.begin].at};
+    for (std::size_t i = range.begin; i < range.end; ++i) {
+      box.Include(nodes[i].at);
+    }
+    return box;
+  };
+  Placed placed;
+  for (std::size_t k = 0; k < ranges.size(); ++k) {
+    if (!stretches[k].frame_pose) continue;
+    for (std::size_t i = ranges[k].begin; i < ranges[k].end; ++i) {
+      Move(*stretches[k].frame_pose, &nodes[i]);
+    }
+    placed.Include(box_of(ranges[k]));
+  }
+  for (std::size_t k = 0; k < ranges.size(); ++k) {
+    if (stretches[k].frame_pose) continue;
+    const MapPoint shift = placed.Beside(box_of(ranges[k]));
+    for (std::size_t i = ranges[k].begin; i < ranges[k].end; ++i) {
+      nodes[i].at = {nodes[i].at.x + shift.x, nodes[i].at.y + shift.y};
+    }
+    placed.Include(box_of(ranges[k]));
+  }
 }
-
-}  // namespace
 
 void PlaceRecordings(const std::vector<v1::Recording>& recordings,
                      MapContents* contents) {
-  std::vector<MapNode>& nodes = contents->nodes;
+  const std::vector<MapNode>& nodes = contents->nodes;
   if (recordings.size() < 2 || nodes.empty()) return;
-  std::vector<const v1::Recording*> drawn;
+  std::vector<FramedStretch> stretches;
+  const v1::Recording* last = nullptr;
   for (std::size_t i = 0; i < nodes.size(); ++i) {
     const v1::Recording* of = RecordingOf(recordings, nodes[i].sequence);
     if (of == nullptr) of = &recordings.front();
-    if (drawn.empty() || of != drawn.back()) {
-      drawn.push_back(of);
-      contents->recordings.push_back({i, LabelOf(*of), kMapEstimate});
-    }
-    if (IsTied(*of)) Move(of->frame_pose(), &nodes[i]);
+    if (of == last) continue;
+    last = of;
+    FramedStretch stretch{i, std::nullopt, LabelOf(*of),
+                          StretchColor(stretches.size())};
+    if (of->has_frame_pose()) stretch.frame_pose = of->frame_pose();
+    stretches.push_back(std::move(stretch));
   }
-  for (std::size_t k = 0; k + 1 < drawn.size(); ++k) {
-    contents->recordings[k].color = kColors[k % kColors.size()];
-  }
-  const std::vector<MapStretch> stretches = StretchesOf(*contents);
-  std::vector<Box> boxes;
-  Box all;
-  bool any = false;
-  for (std::size_t k = 0; k < stretches.size(); ++k) {
-    Box box{nodes[stretches[k].begin].at, nodes[stretches[k].begin].at};
-    for (std::size_t i = stretches[k].begin; i < stretches[k].end; ++i) {
-      box.Include(nodes[i].at);
-    }
-    boxes.push_back(box);
-    if (!IsTied(*drawn[k])) continue;
-    if (!any) all = box;
-    any = true;
-    all.Include(box.low);
-    all.Include(box.high);
-  }
-  for (std::size_t k = 0; k < stretches.size(); ++k) {
-    if (IsTied(*drawn[k])) continue;
-    if (!any) all = {boxes[k].low, boxes[k].low};
-    const double gap =
-        any ? 0.08 * std::max({all.high.x - all.low.x,
-                               boxes[k].high.x - boxes[k].low.x, 10.0})
-            : 0.0;
-    const double dx = all.high.x + gap - boxes[k].low.x;
-    const double dy = all.low.y - boxes[k].low.y;
-    for (std::size_t i = stretches[k].begin; i < stretches[k].end; ++i) {
-      nodes[i].at = {nodes[i].at.x + dx, nodes[i].at.y + dy};
-    }
-    any = true;
-    all.Include({boxes[k].low.x + dx, boxes[k].low.y + dy});
-    all.Include({boxes[k].high.x + dx, boxes[k].high.y + dy});
-  }
+  stretches.back().color = kMapEstimate;
+  PlaceStretches(stretches, contents);
 }
 
 }  // namespace revisit::client

@@ -11,6 +11,8 @@
 #include "absl/strings/str_cat.h"
 #include "client/answers/candidate_text.h"
 #include "client/answers/names.h"
+#include "client/map/group_map.h"
+#include "client/map/map_nodes.h"
 #include "client/map/recording_places.h"
 #include "client/revisit/backoff.h"
 #include "client/revisit/status.h"
@@ -21,42 +23,16 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-MapNode NodeOf(const v1::Node& node) {
-  MapNode shown;
-  shown.sequence = node.sequence();
-  if (node.has_stamp()) shown.stamp = node.stamp();
-  shown.travelled_meters = node.travelled_meters();
-  shown.at = {node.pose().x_meters(), node.pose().y_meters()};
-  shown.z_meters = node.pose().z_meters();
-  const auto& v = node.covariance().values();
-  const bool planar =
-      node.covariance().form() == v1::COVARIANCE_FORM_PLANAR_6 && v.size() == 6;
-  if (planar || v.size() == 10) {
-    shown.xx = v[0];
-    shown.xy = v[1];
-    shown.yy = v[planar ? 3 : 4];
-  }
-  return shown;
-}
-
-// The node of a pair: the last one whose pose is at or before this. Within a
-// node spacing of the one that the service links.
-std::size_t NodeAt(const std::vector<MapNode>& nodes, std::uint64_t sequence) {
-  const auto after = std::upper_bound(
-      nodes.begin(), nodes.end(), sequence,
-      [](std::uint64_t s, const MapNode& node) { return s < node.sequence; });
-  return after == nodes.begin()
-             ? 0
-             : static_cast<std::size_t>(after - nodes.begin() - 1);
-}
-
 template <typename Pairs>
-std::vector<MapPair> PairsOf(const Pairs& pairs,
-                             const std::vector<MapNode>& nodes) {
+std::vector<MapPair> PairsOf(const Pairs& pairs, const MapContents& contents) {
+  const auto node_at = [&](std::uint64_t sequence) {
+    return MapNodeAt(contents.nodes, contents.own_begin, contents.nodes.size(),
+                     sequence);
+  };
   std::vector<MapPair> shown;
   for (const auto& pair : pairs) {
-    shown.push_back({NodeAt(nodes, pair.query_sequence()),
-                     NodeAt(nodes, pair.matched_sequence()), pair.name(),
+    shown.push_back({node_at(pair.query_sequence()),
+                     node_at(pair.matched_sequence()), pair.name(),
                      pair.note()});
   }
   return shown;
@@ -106,10 +82,11 @@ std::size_t StyleOf(const v1::CandidateSet& set) {
   return styles.size() - 1;
 }
 
-MapCandidate CandidateOf(const v1::Candidate& candidate) {
+// `node`: that of the match on the map.
+MapCandidate CandidateOf(const v1::Candidate& candidate, std::size_t node) {
   const DecidingGate gate = DecidingGateOf(candidate);
   MapCandidate shown;
-  shown.node = static_cast<std::size_t>(candidate.matched().index());
+  shown.node = node;
   shown.verdict = NameOf(candidate.verdict());
   shown.opposite = candidate.direction() == v1::DIRECTION_OPPOSITE;
   if (candidate.has_probability()) shown.probability = candidate.probability();
@@ -125,25 +102,45 @@ MapCandidate CandidateOf(const v1::Candidate& candidate) {
   return shown;
 }
 
+// Where a node of a vehicle of the map is on it; an empty name is that of the
+// one whose map it is. Nothing if it is not there.
+std::optional<std::size_t> PlaceOf(const ServerMap& map,
+                                   const std::string& vehicle,
+                                   const v1::Node& node) {
+  std::size_t begin = map.contents.own_begin;
+  std::size_t end = map.contents.nodes.size();
+  if (!vehicle.empty()) {
+    const auto other = std::find_if(
+        map.others.begin(), map.others.end(),
+        [&](const OtherVehicle& one) { return one.name == vehicle; });
+    if (other == map.others.end()) return std::nullopt;
+    begin = other->begin;
+    end = other->end;
+  }
+  const auto index = static_cast<std::size_t>(node.index());
+  if (node.index() < 0 || index >= end - begin) return std::nullopt;
+  return begin + index;
+}
+
 // A check as it was answered, at the node where it was asked for unless the
-// answer names another; nothing if it names one that is not among `nodes`.
+// answer names another; nothing if it names one that is not on the map.
 std::optional<MapCheck> MakeCheck(const v1::CandidateSet& set, std::size_t node,
-                                  std::size_t nodes) {
+                                  const ServerMap& map) {
   MapCheck check;
-  check.node =
-      set.has_query() ? static_cast<std::size_t>(set.query().index()) : node;
+  const auto query =
+      set.has_query() ? PlaceOf(map, "", set.query()) : std::optional(node);
+  if (!query) return std::nullopt;
+  check.node = *query;
   check.style = StyleOf(set);
   if (set.candidates().empty()) {
     check.empty_reason = Explain(set.empty_reason());
   }
   for (const v1::Candidate& candidate : set.candidates()) {
-    check.candidates.push_back(CandidateOf(candidate));
+    const auto at =
+        PlaceOf(map, candidate.matched_vehicle(), candidate.matched());
+    if (!at) return std::nullopt;
+    check.candidates.push_back(CandidateOf(candidate, *at));
   }
-  const bool known =
-      check.node < nodes &&
-      std::all_of(check.candidates.begin(), check.candidates.end(),
-                  [&](const MapCandidate& c) { return c.node < nodes; });
-  if (!known) return std::nullopt;
   return check;
 }
 
@@ -157,19 +154,52 @@ void Name(const std::string& vehicle, ServerMap* map) {
       absl::StrCat(Fixed(contents.nodes.back().travelled_meters / 1000.0, 1),
                    " km, ", map->vehicle.durable_sequence(),
                    " poses, revision ", map->vehicle.revision());
-  if (!contents.recordings.empty()) {
+  if (map->others.empty() && !contents.recordings.empty()) {
     absl::StrAppend(&contents.subtitle, ", ", contents.recordings.size(),
                     " recordings");
   }
 }
 
+// What a verifier has told of a vehicle's own history.
+struct OwnPairs {
+  std::vector<v1::LoopClosure> closures;
+  std::vector<v1::RejectedCandidate> rejections;
+};
+
+// Adds the vehicle and its nodes.
+absl::StatusOr<OwnPairs> ReadOwn(const Client& client,
+                                 const std::string& vehicle,
+                                 const Terminal& terminal, ServerMap* map) {
+  // Before the nodes, so that their poses are among those.
+  auto closures = ReadLoopClosures(client, vehicle);
+  if (!closures.ok()) return closures.status();
+  auto rejections = ReadRejectedCandidates(client, vehicle);
+  if (!rejections.ok()) return rejections.status();
+  MapContents& contents = map->contents;
+  auto read = ReadMapNodes(client, vehicle, terminal, &contents.nodes);
+  if (!read.ok()) return read.status();
+  if (contents.nodes.size() == contents.own_begin) {
+    return LocalError(absl::FailedPreconditionError(absl::StrCat(
+        vehicle, ": there is nothing to draw, the pose graph is empty")));
+  }
+  map->vehicle = *std::move(read);
+  return OwnPairs{*std::move(closures), *std::move(rejections)};
+}
+
+void AddOwn(const OwnPairs& own, const std::string& vehicle, ServerMap* map) {
+  map->contents.closures = PairsOf(own.closures, map->contents);
+  map->contents.rejections = PairsOf(own.rejections, map->contents);
+  Name(vehicle, map);
+}
+
 // The nodes at which a stream's checks fall due.
-std::vector<std::size_t> CheckNodes(const std::vector<MapNode>& nodes,
+std::vector<std::size_t> CheckNodes(const MapContents& contents,
                                     double first_meters,
                                     double interval_meters) {
+  const std::vector<MapNode>& nodes = contents.nodes;
   std::vector<std::size_t> checks;
   double due = first_meters;
-  for (std::size_t i = 0; i < nodes.size(); ++i) {
+  for (std::size_t i = contents.own_begin; i < nodes.size(); ++i) {
     if (nodes[i].travelled_meters < due) continue;
     checks.push_back(i);
     due = std::max(due + interval_meters, nodes[i].travelled_meters);
@@ -227,40 +257,38 @@ absl::StatusOr<ServerMap> ReadServerMap(const Client& client,
                                         const std::string& vehicle,
                                         const Terminal& terminal) {
   ServerMap map;
-  const auto before = ReadVehicle(client, vehicle);
-  if (!before.ok()) return before.status();
-  // Before the nodes, so that their poses are among those.
-  const auto closures = ReadLoopClosures(client, vehicle);
-  if (!closures.ok()) return closures.status();
-  const auto rejections = ReadRejectedCandidates(client, vehicle);
-  if (!rejections.ok()) return rejections.status();
-  v1::ExportPoseGraphRequest request;
-  request.set_vehicle(vehicle);
-  MapContents& contents = map.contents;
-  Progress progress(terminal, vehicle,
-                    static_cast<std::uint64_t>(before->node_count()), "nodes");
-  const absl::Status exported = client.ExportPoseGraph(
-      request, [&](const v1::ExportPoseGraphResponse& part) {
-        if (part.has_vehicle()) map.vehicle = part.vehicle();
-        for (const v1::Node& node : part.nodes()) {
-          contents.nodes.push_back(NodeOf(node));
-        }
-        progress.Update(contents.nodes.size());
-        return absl::OkStatus();
-      });
-  if (!exported.ok()) return exported;
-  if (contents.nodes.empty()) {
-    return LocalError(absl::FailedPreconditionError(absl::StrCat(
-        vehicle, ": there is nothing to draw, the pose graph is empty")));
-  }
+  auto own = ReadOwn(client, vehicle, terminal, &map);
+  if (!own.ok()) return own.status();
   const auto recordings = ReadRecordings(client, vehicle);
   if (!recordings.ok() && !absl::IsUnimplemented(recordings.status())) {
     return recordings.status();
   }
-  if (recordings.ok()) PlaceRecordings(*recordings, &contents);
-  contents.closures = PairsOf(*closures, contents.nodes);
-  contents.rejections = PairsOf(*rejections, contents.nodes);
-  Name(vehicle, &map);
+  if (recordings.ok()) PlaceRecordings(*recordings, &map.contents);
+  AddOwn(*own, vehicle, &map);
+  return map;
+}
+
+absl::StatusOr<ServerMap> ReadGroupMap(const Client& client,
+                                       const std::string& vehicle,
+                                       const std::string& group,
+                                       const Terminal& terminal) {
+  ServerMap map;
+  const auto on_map = ReadGroup(client, group, vehicle);
+  if (!on_map.ok()) return on_map.status();
+  if (absl::Status added =
+          AddOtherVehicles(client, *on_map, vehicle, terminal, &map);
+      !added.ok()) {
+    return added;
+  }
+  auto own = ReadOwn(client, vehicle, terminal, &map);
+  if (!own.ok()) return own.status();
+  PlaceVehicles(*on_map, vehicle, &map);
+  AddOwn(*own, vehicle, &map);
+  AddLinks(*on_map, vehicle, &map);
+  absl::StrAppend(
+      &map.contents.subtitle, ", among ", map.others.size(),
+      map.others.size() == 1 ? " other vehicle of " : " other vehicles of ",
+      group);
   return map;
 }
 
@@ -274,8 +302,8 @@ absl::Status AddChecks(const Client& client, const CheckSearches& searches,
     contents.styles.push_back(known.style);
     contents.styles.back().label = known.label;
   }
-  const std::vector<std::size_t> at = CheckNodes(
-      contents.nodes, 2.0 * settings.sequence_length_meters(), interval);
+  const std::vector<std::size_t> at =
+      CheckNodes(contents, 2.0 * settings.sequence_length_meters(), interval);
   Progress progress(terminal, map->vehicle.name(), at.size(), "searches");
   v1::FindCandidatesRequest request;
   request.set_vehicle(map->vehicle.name());
@@ -289,7 +317,7 @@ absl::Status AddChecks(const Client& client, const CheckSearches& searches,
     request.set_sequence(contents.nodes[at[i]].sequence);
     const auto set = Search(client, request);
     if (!set.ok()) return set.status();
-    auto check = MakeCheck(*set, at[i], contents.nodes.size());
+    auto check = MakeCheck(*set, at[i], *map);
     if (!check.has_value()) {
       return LocalError(absl::AbortedError(
           absl::StrCat(map->vehicle.name(),

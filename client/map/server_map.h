@@ -1,9 +1,12 @@
-// The map of a vehicle as its server knows it.
+// The map of a vehicle as its server knows it, by itself or among the vehicles
+// of a group.
 #ifndef REVISIT_CLIENT_MAP_SERVER_MAP_H_
 #define REVISIT_CLIENT_MAP_SERVER_MAP_H_
 
+#include <cstddef>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
@@ -15,9 +18,19 @@
 
 namespace revisit::client {
 
+// The nodes of another vehicle on the map.
+struct OtherVehicle {
+  // The resource name.
+  std::string name;
+  std::size_t begin = 0;
+  std::size_t end = 0;
+};
+
 struct ServerMap {
   v1::Vehicle vehicle;
   MapContents contents;
+  // Those of the group that have nodes, before the vehicle's own.
+  std::vector<OtherVehicle> others = {};
 };
 
 // Nodes, loop closures and rejected candidates, without checks. FAILED_
@@ -25,6 +38,15 @@ struct ServerMap {
 absl::StatusOr<ServerMap> ReadServerMap(const Client& client,
                                         const std::string& vehicle,
                                         const Terminal& terminal);
+
+// The same with the paths of a group's other vehicles in its frame, and the
+// loop closures between them; without what was confirmed and rejected within
+// each of the others. `group` is a resource name. Those of vehicles that the
+// caller may not read, or that cannot be compared with this one, are left out.
+absl::StatusOr<ServerMap> ReadGroupMap(const Client& client,
+                                       const std::string& vehicle,
+                                       const std::string& group,
+                                       const Terminal& terminal);
 
 struct CheckSearches {
   // Travelled distance between two; the vehicle's own if absent.

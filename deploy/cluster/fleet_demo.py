@@ -18,6 +18,11 @@ import revisit
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 DRIVE = ROOT / "tests/data/boreas/boreas_glen_shields.csv"
 SERVERS = 3
+GROUP = "fleet"
+# How well it is known where each vehicle began: 5 m and 1 degree.
+DATUM_VARIANCES = (25.0, 25.0, 3e-4)
+# Poses at which vehicles are asked what another one has seen.
+ASKED = (500, 1000, 1500, 2000)
 # Times a second that every vehicle sends what it has.
 TICKS = 10
 
@@ -146,6 +151,42 @@ def check_candidates(vehicles, alone):
     return differing, asked
 
 
+def found_by(vehicle, other, sequence):
+    """What a vehicle finds in the history of another one, as for any two that have
+    driven the same: (answer, candidates that are accepted)."""
+    found = vehicle.client.find_candidates(
+        vehicle.id, sequence, group=GROUP, vehicles=[other.id], exclude_own=True)
+    accepted = sum(candidate.verdict == revisit.v1.VERDICT_ACCEPTED
+                   for candidate in found.candidates)
+    for field in ("searched", "group_revision"):
+        found.ClearField(field)
+    for candidate in found.candidates:
+        candidate.ClearField("matched_vehicle")
+        candidate.ClearField("matched_vehicle_uid")
+    return answer_of(found), accepted
+
+
+def search_as_one_fleet(vehicles):
+    """Makes the vehicles one group, each with a datum of its own, and has each asked
+    for its places in the first one; answers how many answers there were, how many
+    differ from that to the second one, and how many candidates are accepted."""
+    client = vehicles[0].client
+    client.create_group(GROUP)
+    for vehicle in vehicles:
+        client.add_group_member(GROUP, vehicle.id, revisit.datum(
+            (0.0, 0.0, 0.0), np.diag(DATUM_VARIANCES)))
+    answers = accepted = differing = 0
+    for sequence in ASKED:
+        expected = None
+        for vehicle in vehicles[1:]:
+            answer, count = found_by(vehicle, vehicles[0], sequence)
+            expected = expected or answer
+            differing += answer != expected
+            accepted += count
+            answers += 1
+    return answers, differing, accepted
+
+
 def print_vehicles(vehicles):
     cut = [vehicle for vehicle in vehicles if vehicle.errors]
     rest = [vehicle for vehicle in vehicles if not vehicle.errors]
@@ -228,9 +269,15 @@ def run(processes, vehicle_count, seconds):
         print(f"{vehicle_count * len(alone.answers)} checks: {differing} answered "
               f"otherwise than by the server that is alone ({asked} asked for again, "
               "their answers lost with the connection)")
+
+        say("The vehicles as one fleet")
+        answers, strange, found = search_as_one_fleet(vehicles)
+        print(f"each of the others asked for its places in the history of "
+              f"{vehicles[0].id}, at its own server: {answers} answers, {found} "
+              f"candidates accepted, {strange} answered otherwise than to the first")
         verdict = cluster.run_task("verify", "revisit").splitlines()[-1]
         print(f"revisitd verify finds the database {verdict}")
-        return acked == sent and lost == 0 and differing == 0
+        return acked == sent and lost == differing == strange == 0 and found > 0
 
 
 def main():

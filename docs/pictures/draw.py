@@ -15,6 +15,7 @@ import pathlib
 import re
 import subprocess
 import tempfile
+import time
 from xml.sax.saxutils import escape
 
 HERE = pathlib.Path(__file__).resolve().parent
@@ -538,6 +539,125 @@ def belief(checks):
     return picture
 
 
+# Where the second day says that it began, in the frame of the first: x, y in metres
+# and degrees, and how sure that is.
+DATUM, DATUM_SIGMA = (18.0, -14.0, 2.0), "15m,2deg"
+
+
+def write_day_two(path):
+    """The second day as another vehicle, which counts from its own first pose."""
+    rows = rows_of_drive()[SECOND_DAY:]
+    first = rows[0]
+    c, s = math.cos(first["est_yaw"]), math.sin(first["est_yaw"])
+    with open(path, "w", encoding="utf-8") as file:
+        print("t_s,est_x,est_y,est_yaw", file=file)
+        for row in rows:
+            dx, dy = row["est_x"] - first["est_x"], row["est_y"] - first["est_y"]
+            print(row["t_s"], f"{c * dx + s * dy:.4f}", f"{c * dy - s * dx:.4f}",
+                  f"{math.remainder(row['est_yaw'] - first['est_yaw'], math.tau):.6f}",
+                  sep=",", file=file)
+    return first
+
+
+def write_day_one(path):
+    with open(path, "w", encoding="utf-8") as file:
+        print("t_s,est_x,est_y,est_yaw", file=file)
+        for row in rows_of_drive()[:SECOND_DAY]:
+            print(row["t_s"], row["est_x"], row["est_y"], row["est_yaw"], sep=",",
+                  file=file)
+
+
+def drive_both(address, directory):
+    """Makes the two days two vehicles of a group; answers their paths, each in its own
+    frame."""
+    days = {name: pathlib.Path(directory) / f"{name}.csv"
+            for name in ("shuttle-7", "shuttle-8")}
+    write_day_one(days["shuttle-7"])
+    first = write_day_two(days["shuttle-8"])
+    ask(address, "group", "create", "depot")
+    datum = (first["est_x"] + DATUM[0], first["est_y"] + DATUM[1],
+             first["est_yaw"] + math.radians(DATUM[2]))
+    for name, at in (("shuttle-7", (0, 0, 0)), ("shuttle-8", datum)):
+        ask(address, "stream", days[name], "--vehicle", name, "--create")
+        ask(address, "group", "add", "depot", name, "--datum",
+            ",".join(f"{value:.4f}" for value in at), "--datum-sigma",
+            DATUM_SIGMA if name == "shuttle-8" else "0.1m,0.1deg")
+    return {name: [place(line["node"]) for line in ask(
+        address, "export", name, "--format", "jsonl") if "node" in line]
+        for name in days}
+
+
+def frame_of_second(address, is_known):
+    """Where the second vehicle lies in the frame of the first, once that is so."""
+    while True:
+        [frames] = ask(address, "group", "frames", "depot", "--from", "shuttle-7",
+                       "--in", "shuttle-8")
+        [frame] = frames["frameTransforms"]
+        if is_known(frame):
+            return frame
+        time.sleep(0.1)
+
+
+def carried(frame, at):
+    pose = frame["framePose"]
+    c, s = (of(pose.get("headingRadians", 0.0)) for of in (math.cos, math.sin))
+    return (pose.get("xMeters", 0.0) + c * at[0] - s * at[1],
+            pose.get("yMeters", 0.0) + s * at[0] + c * at[1])
+
+
+def measured_between(query, matched):
+    """Where the second vehicle's pose lies as seen from the first one's, as a verifier
+    would have measured it."""
+    rows = rows_of_drive()
+    seen, place_of = rows[SECOND_DAY + query - 1], rows[matched - 1]
+    c, s = math.cos(place_of["gt_yaw"]), math.sin(place_of["gt_yaw"])
+    dx, dy = (seen[name] - place_of[name] for name in ("gt_x", "gt_y"))
+    turn = math.remainder(seen["gt_yaw"] - place_of["gt_yaw"], math.tau)
+    return f"{c * dx + s * dy:.3f},{c * dy - s * dx:.3f},{turn:.4f}"
+
+
+def two_vehicles(address, directory):
+    paths = drive_both(address, directory)
+    placed = frame_of_second(
+        address, lambda frame: frame["frameState"] == "FRAME_STATE_DATUM")
+    [check] = ask(address, "find", "shuttle-8", "--sequence", "52", "--group", "depot",
+                  "--exclude-own")
+    best = check["candidates"][0]
+    query, matched = (int(best[end]["sequence"]) for end in ("query", "matched"))
+    ask(address, "link", "add", "depot", f"shuttle-8@{query}", f"shuttle-7@{matched}",
+        "--relative", measured_between(query, matched), "--covariance",
+        "0.04,0,0,0.04,0,0.0001")
+    tied = frame_of_second(
+        address, lambda frame: frame["frameState"] == "FRAME_STATE_PROVISIONAL")
+    picture = Picture(760, 400, "Two vehicles in one map, before and after a link")
+    inside = [(-200, -75), (175, 215)]
+
+    def is_inside(at):
+        return all(low <= value <= high
+                   for low, value, high in zip(inside[0], at, inside[1]))
+
+    for left, frame, words in ((30, placed, "as a datum places the second"),
+                               (395, tied, "after one loop closure between them")):
+        scale = Map(inside[0], 0.88, (left, 335))
+        picture.text((left, 30), words, "bold")
+        moved = [carried(frame, at) for at in paths["shuttle-8"]]
+        picture.ellipse(scale(*carried(frame, place({
+            "pose": {"xMeters": 0.0, "yMeters": 0.0,
+                     **frame.get("frameReference", {})}}))),
+            *axes_of(frame["frameCovariance"], scale), "orange pale")
+        for points, classes in ((paths["shuttle-7"], "blue"), (moved, "orange")):
+            for stretch in stretches(points, is_inside):
+                picture.path([scale(*at) for at in stretch], classes)
+        if frame is tied:
+            picture.dot(scale(*place(best["matched"])), 5, "green")
+        scale.bar(picture, (left, 375), 100)
+    for x, words, classes in ((180, "shuttle-7", "blue"), (290, "shuttle-8", "orange"),
+                              (545, "where a verifier saw both", "green")):
+        picture.path([(x, 371), (x + 26, 371)], f"{classes} thick")
+        picture.text((x + 34, 375), words, "small")
+    return picture
+
+
 def pictures():
     """By their names, the files as they are to be."""
     made = {"poses-and-nodes": poses_and_nodes(), "round-trip": round_trip(),
@@ -550,6 +670,7 @@ def pictures():
         quarter = pathlib.Path(directory) / "quarter.csv"
         write_quarter(quarter)
         made["belief"] = belief(stream(server.address, "quarter", quarter))
+        made["two-vehicles"] = two_vehicles(server.address, directory)
     return {f"{name}.svg": picture.svg() for name, picture in made.items()}
 
 

@@ -61,6 +61,9 @@ def test_killed_server_costs_no_pose_and_changes_no_candidate(directory):
                          re.MULTILINE).group(1)) >= 3
     assert " 0 lost or changed" in output
     assert ": 0 answered otherwise " in output
+    fleet = re.search(r": (\d+) answers, (\d+) candidates accepted, 0 answered "
+                      r"otherwise", output)
+    assert int(fleet.group(1)) == 4 * 8 and int(fleet.group(2)) >= 3 * 8
     check_nothing_is_left(directory)
 
 

@@ -51,12 +51,19 @@ def test_demo_finds_day_one_from_day_two_as_another_vehicle(tmp_path):
     assert frame == "PROVISIONAL"
     assert (checks_after, loops_after) == (checks, loops)
     assert right_after > right and right_after > 0.97 * accepted
+    drawn = (tmp_path / "demo-group.svg").read_text()
+    assert "vehicles/demo-day-2" in drawn
+    assert "among 1 other vehicle of groups/demo" in drawn
+    assert "demo-day-1: PROVISIONAL, within" in drawn
+    assert "confirmed: 1" in drawn
+    assert int(re.search(r"accepted: (\d+)", drawn).group(1)) > 140
 
 
 def test_demo_draws_a_page_where_it_is_asked_to(tmp_path):
     shown = demo(tmp_path, "--map", "page.html")
     assert shown.returncode == 0, shown.stderr
     assert "<html" in (tmp_path / "page.html").read_text()
+    assert "<html" in (tmp_path / "page-group.html").read_text()
     assert not (tmp_path / "demo.svg").exists()
 
 

@@ -78,6 +78,22 @@ def test_only_the_histories_that_are_asked_for_are_searched(revisit):
     assert revisit("find", "shuttle-8", "--partial").returncode == USAGE
 
 
+def test_a_map_shows_the_group_in_the_frame_of_one_vehicle(revisit, tmp_path):
+    drawing = ["map", "shuttle-8", "--group", "depot", "--exclude-own",
+               "--check-interval", "400"]
+    drawn = succeeded(revisit(*drawing, "--svg"))
+    assert "among 1 other vehicle of groups/depot" in drawn
+    assert "shuttle-7: tied by nothing, drawn beside the others" in drawn
+    assert "shuttle-8: the frame of the map" in drawn
+    assert int(re.search(r"accepted: (\d+)", drawn).group(1)) > 5
+    page = tmp_path / "depot.html"
+    succeeded(revisit(*drawing, "--output", str(page)))
+    assert "shuttle-7: tied by nothing" in page.read_text()
+    assert revisit(*drawing, "--geojson").returncode == USAGE
+    nothing = revisit("map", "shuttle-8", "--group", "nothing")
+    assert nothing.returncode == 64 + 5 and "GROUP_NOT_FOUND" in nothing.stderr
+
+
 def test_the_words_that_are_printed_link_the_two_vehicles(revisit):
     find = ["find", "shuttle-8", "--group", "depot", "--exclude-own"]
     words = succeeded(revisit(*find, "-o", "name")).splitlines()[0].split()

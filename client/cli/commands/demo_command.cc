@@ -34,6 +34,7 @@ constexpr char kHints[] =
     "  $2 find $1\n"
     "  $2 find $3 --group $4 --exclude-own\n"
     "  $2 map $1 --output $1.html\n"
+    "  $2 map $3 --group $4 --exclude-own --output $4.html\n"
     "  grpcurl -plaintext $0 list\n"
     "  grpcurl -plaintext $0 describe revisit.v1.Candidate\n"
     "  grpcurl -plaintext -d '{\"vehicle\": \"vehicles/$1\", \"sequence\": "
@@ -81,11 +82,11 @@ absl::Status RunDemo(const DemoOptions& demo, const Terminal& terminal) {
   options.keep_vehicles = true;
   options.before_undoing = [&](const std::string& address) -> absl::Status {
     if (terminal.json()) return absl::OkStatus();
-    if (absl::Status status = RunDemoGroup(options, address, terminal);
-        !status.ok()) {
-      return status;
-    }
-    terminal.out << "\nThe map is in " << demo.map << ".\n"
+    const auto group_map = RunDemoGroup(options, address, terminal);
+    if (!group_map.ok()) return group_map.status();
+    terminal.out << "\nThe map of the drive is in " << demo.map
+                 << ", that of its days as two vehicles in " << *group_map
+                 << ".\n"
                  << absl::Substitute(kHints, address, kVehicle,
                                      program.string(), kDemoAsking, kDemoGroup)
                  << (demo.keep
@@ -113,14 +114,15 @@ void AddDemoCommand(const Command& program) {
        "the answers with the truth as `revisit evaluate`\ndoes, and draws the "
        "map. Then the two days are two vehicles of one group, and the\nsecond "
        "is asked where it is in the first, before and after a loop closure "
-       "between\nthem. It takes some seconds.",
+       "between\nthem, and both are drawn in one map. It takes some seconds.",
        "  revisit demo\n"
        "  revisit demo --map demo.html --keep"});
   const auto options = std::make_shared<DemoOptions>();
   command.AddText(
       "--map", "FILE", &options->map,
       "Where to draw the map: a page for a browser if the name ends "
-      "in .html, otherwise SVG (demo.svg)");
+      "in .html, otherwise SVG (demo.svg); that of the two vehicles has -group "
+      "in its name");
   command.AddSwitch("--keep", &options->keep,
                     "Leave the server up, with the drive and the group in it, "
                     "until Ctrl-C");

@@ -1,16 +1,19 @@
 #include "client/cli/commands/demo_group.h"
 
 #include <cstddef>
+#include <filesystem>
 #include <set>
 #include <vector>
 
-#include "absl/status/statusor.h"
+#include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "client/answers/names.h"
+#include "client/evaluation/drawings.h"
 #include "client/evaluation/evaluation_report.h"
 #include "client/evaluation/group_evaluation.h"
 #include "client/evaluation/simulation.h"
+#include "client/map/server_map.h"
 #include "client/revisit/channel.h"
 #include "client/revisit/client.h"
 #include "grpcpp/channel.h"
@@ -99,11 +102,35 @@ void Print(const GroupResult& result, const Terminal& terminal) {
   table.Print(terminal.out, terminal.width);
 }
 
+// "demo.svg" becomes "demo-group.svg".
+std::string MapBeside(const std::string& map) {
+  std::filesystem::path path(map);
+  path.replace_filename(
+      absl::StrCat(path.stem().string(), "-group", path.extension().string()));
+  return path.string();
+}
+
+// Both days in the frame of the second, with what that finds in the first.
+absl::Status DrawBoth(const Client& client, const std::string& file,
+                      const Terminal& terminal) {
+  CheckSearches searches;
+  searches.options.mutable_scope()->set_group(GroupName(kDemoGroup));
+  searches.options.mutable_scope()->set_exclude_own(true);
+  auto map = ReadGroupMap(client, VehicleName(kDemoAsking),
+                          GroupName(kDemoGroup), terminal);
+  if (!map.ok()) return map.status();
+  if (absl::Status added = AddChecks(client, searches, terminal, &*map);
+      !added.ok()) {
+    return added;
+  }
+  return WriteMapFile(file, map->contents);
+}
+
 }  // namespace
 
-absl::Status RunDemoGroup(const EvaluateOptions& options,
-                          const std::string& address,
-                          const Terminal& terminal) {
+absl::StatusOr<std::string> RunDemoGroup(const EvaluateOptions& options,
+                                         const std::string& address,
+                                         const Terminal& terminal) {
   const auto drive = ReadDriveFile(options.files[0], options.reader);
   if (!drive.ok()) return LocalError(drive.status());
   ChannelOptions server;
@@ -114,14 +141,19 @@ absl::Status RunDemoGroup(const EvaluateOptions& options,
   run.group_id = kDemoGroup;
   run.settings = options.settings;
   run.judging = options.judging;
+  const Client client(*channel);
   const std::size_t second = LongestPause(*drive);
-  const auto result = EvaluateGroup(
-      *channel, Client(*channel), PartOf(*drive, 0, second, kKnown),
-      PartOf(*drive, second, drive->samples.size(), kDemoAsking), run,
-      terminal);
+  const auto result =
+      EvaluateGroup(*channel, client, PartOf(*drive, 0, second, kKnown),
+                    PartOf(*drive, second, drive->samples.size(), kDemoAsking),
+                    run, terminal);
   if (!result.ok()) return result.status();
   Print(*result, terminal);
-  return absl::OkStatus();
+  std::string file = MapBeside(options.map);
+  if (absl::Status drawn = DrawBoth(client, file, terminal); !drawn.ok()) {
+    return drawn;
+  }
+  return file;
 }
 
 }  // namespace revisit::client

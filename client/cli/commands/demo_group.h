@@ -4,7 +4,7 @@
 
 #include <string>
 
-#include "absl/status/status.h"
+#include "absl/status/statusor.h"
 #include "client/evaluation/evaluate_options.h"
 #include "client/terminal/terminal.h"
 
@@ -16,9 +16,11 @@ inline constexpr char kDemoAsking[] = "demo-day-2";
 
 // Makes both vehicles and the group on the server at this address, and prints
 // what the second day finds in the first one before and after a loop closure
-// between them. The drive is the first of `options.files`.
-absl::Status RunDemoGroup(const EvaluateOptions& options,
-                          const std::string& address, const Terminal& terminal);
+// between them. The drive is the first of `options.files`. Draws both days in
+// one map beside `options.map`, and returns its name.
+absl::StatusOr<std::string> RunDemoGroup(const EvaluateOptions& options,
+                                         const std::string& address,
+                                         const Terminal& terminal);
 
 }  // namespace revisit::client
 

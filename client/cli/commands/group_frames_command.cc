@@ -8,42 +8,14 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
 #include "client/answers/names.h"
-#include "client/answers/pages.h"
 #include "client/cli/commands/frame_columns.h"
 #include "client/cli/commands/shared_flags.h"
 #include "client/revisit/printable_text.h"
 #include "client/revisit/status.h"
+#include "client/trajectory/stored_groups.h"
 
 namespace revisit::client {
 namespace {
-
-// All pages as one.
-absl::StatusOr<v1::ListFrameTransformsResponse> ReadAll(
-    const Client& client, const v1::ListFrameTransformsRequest& request) {
-  v1::ListFrameTransformsResponse all;
-  const absl::Status read = VisitPages(
-      request,
-      [&](const v1::ListFrameTransformsRequest& asked) {
-        return client.ListFrameTransforms(asked);
-      },
-      [](const v1::ListFrameTransformsResponse& page) -> const auto& {
-        return page.frame_transforms();
-      },
-      [&](const v1::ListFrameTransformsResponse& page) -> absl::StatusOr<bool> {
-        const bool fits = all.group_revision() == 0 ||
-                          all.group_revision() == page.group_revision();
-        if (!fits) {
-          return absl::AbortedError(
-              "the group changed while its frames were listed: list them "
-              "again");
-        }
-        all.set_group_revision(page.group_revision());
-        all.mutable_frame_transforms()->MergeFrom(page.frame_transforms());
-        return true;
-      });
-  if (!read.ok()) return read;
-  return all;
-}
 
 void PrintTable(const v1::ListFrameTransformsResponse& all,
                 const Terminal& terminal) {
@@ -111,8 +83,7 @@ absl::Status RunGroupFrames(const Client& client,
                             const Terminal& terminal) {
   request.set_parent(GroupName(request.parent()));
   request.set_vehicle(VehicleName(request.vehicle()));
-  request.set_page_size(1000);
-  const auto all = ReadAll(client, request);
+  const auto all = ReadFrameTransforms(client, request);
   if (ReadsHistories(all.status())) {
     return WithHint(all.status(),
                     "the server goes on reading: ask again, or take what it "

@@ -10,10 +10,10 @@
 #include "absl/strings/str_replace.h"
 #include "client/answers/exact_text.h"
 #include "client/answers/names.h"
-#include "client/answers/pages.h"
 #include "client/cli/commands/printed_change.h"
 #include "client/cli/commands/shared_flags.h"
 #include "client/revisit/printable_text.h"
+#include "client/trajectory/stored_groups.h"
 
 namespace revisit::client {
 namespace {
@@ -34,24 +34,6 @@ void Fill(const LinkEnd& end, v1::MemberPose* pose) {
 bool IsAt(const LinkEnd& end, const v1::MemberPose& pose) {
   return pose.vehicle() == VehicleName(end.vehicle) &&
          pose.sequence() == end.sequence;
-}
-
-// All of them. DATA_LOSS if rows of others are damaged.
-absl::Status ListAllLinks(const Client& client, const std::string& group,
-                          Links* all) {
-  v1::ListInterVehicleLoopClosuresRequest request;
-  request.set_parent(GroupName(group));
-  request.set_page_size(1000);
-  return VisitPages(
-      request,
-      [&](const v1::ListInterVehicleLoopClosuresRequest& asked) {
-        return client.ListInterVehicleLoopClosures(asked);
-      },
-      [](const Links& page) -> const auto& { return page.loop_closures(); },
-      [&](const Links& page) -> absl::StatusOr<bool> {
-        all->mutable_loop_closures()->MergeFrom(page.loop_closures());
-        return true;
-      });
 }
 
 // "1.20 m, -0.40 m, 0.030 rad": x and y, z where it is not 0, and the heading.
@@ -94,7 +76,7 @@ absl::StatusOr<std::string> NameBetween(const Client& client,
                                         const LinkEnd& query,
                                         const LinkEnd& matched) {
   Links all;
-  const absl::Status listed = ListAllLinks(client, group, &all);
+  const absl::Status listed = ReadLinks(client, GroupName(group), &all);
   if (!listed.ok() && !absl::IsDataLoss(listed)) return listed;
   std::vector<std::string> names;
   for (const v1::InterVehicleLoopClosure& link : all.loop_closures()) {
@@ -247,7 +229,7 @@ absl::Status RunLinkAdd(const Client& client, const NewLink& link,
 absl::Status RunLinkList(const Client& client, const std::string& group,
                          const Terminal& terminal) {
   Links all;
-  const absl::Status listed = ListAllLinks(client, group, &all);
+  const absl::Status listed = ReadLinks(client, GroupName(group), &all);
   if (!listed.ok() && !absl::IsDataLoss(listed)) return listed;
   if (terminal.json()) {
     terminal.out << ToJson(all, true) << '\n';

@@ -22,13 +22,18 @@ constexpr char kMapDetails[] =
     "are asked for\n"
     "along the whole path, as a stream's checks would have been, with the "
     "closures and\n"
-    "rejections that there are now.";
+    "rejections that there are now. With --group, it shows the paths of the "
+    "group's other\n"
+    "vehicles too, in the frame of this one's last recording, with the loop "
+    "closures between\n"
+    "them; those that nothing ties to it lie beside it.";
 
 constexpr char kMapExamples[] =
     "  revisit map shuttle-7 --output shuttle-7.html\n"
     "  revisit map shuttle-7 --svg --direction either > shuttle-7.svg\n"
     "  revisit map shuttle-7 --geojson --check-interval 200 --output "
-    "shuttle-7.geojson";
+    "shuttle-7.geojson\n"
+    "  revisit map shuttle-8 --group depot --exclude-own --output depot.html";
 
 // Says what is wrong with the flags taken together; empty if nothing is.
 std::string CheckOptions(const Command& command, const MapOptions& options) {
@@ -36,6 +41,9 @@ std::string CheckOptions(const Command& command, const MapOptions& options) {
           command.Given("--geojson") >
       1) {
     return "--html, --svg, --geojson: one of them only";
+  }
+  if (command.Given("--geojson") + command.Given("--group") > 1) {
+    return "--geojson: of one vehicle only, not with --group";
   }
   if (options.searches.interval_meters.value_or(1.0) <= 0.0) {
     return "--check-interval: must be positive";
@@ -74,6 +82,7 @@ void AddMapCommand(const Command& program) {
       "Travelled distance between two searches (the vehicle's own)");
   command.AddNumber("--searches-per-second", "N", &options->searches.per_second,
                     "At most so many, for the sake of others");
+  AddScope(command, &options->searches.options);
   AddDirection(command, &options->searches.options);
   const Check check = [command, options] {
     return CheckOptions(command, *options);
@@ -87,7 +96,10 @@ void AddMapCommand(const Command& program) {
 
 absl::Status RunMap(const Client& client, const MapOptions& options,
                     const Terminal& terminal) {
-  auto map = ReadServerMap(client, VehicleName(options.vehicle), terminal);
+  const std::string vehicle = VehicleName(options.vehicle);
+  const std::string& group = options.searches.options.scope().group();
+  auto map = group.empty() ? ReadServerMap(client, vehicle, terminal)
+                           : ReadGroupMap(client, vehicle, group, terminal);
   if (!map.ok()) return map.status();
   if (options.format == MapFormat::kGeoJson) {
     if (absl::Status fits = CheckGeodetic(map->vehicle); !fits.ok()) {

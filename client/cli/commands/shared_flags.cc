@@ -4,6 +4,7 @@
 #include <string>
 
 #include "absl/strings/numbers.h"
+#include "absl/strings/str_split.h"
 #include "client/answers/names.h"
 #include "client/formats/angles.h"
 
@@ -43,6 +44,42 @@ void AddDirection(const Command& command, v1::CandidateOptions* options) {
       },
       "Which way the place was passed before, against the way it is passed now "
       "(same)");
+}
+
+void AddScope(const Command& command, v1::CandidateOptions* options) {
+  const Command scope = command.Under("Histories of other vehicles");
+  const Flag group = scope.AddText(
+      "--group", "GROUP",
+      [options](const std::string& id) -> std::string {
+        if (id.empty()) return "an id, or a name such as groups/ID";
+        options->mutable_scope()->set_group(GroupName(id));
+        return "";
+      },
+      "Look in the histories of this group's vehicles too");
+  const Flag in = scope.AddText(
+      "--in", "VEHICLE,...",
+      [options](const std::string& ids) -> std::string {
+        for (const auto& id : absl::StrSplit(ids, ',')) {
+          if (id.empty()) return "ids of members, separated by commas";
+          options->mutable_scope()->add_vehicles(VehicleName(std::string(id)));
+        }
+        return "";
+      },
+      "Of these vehicles, only in those that are named here");
+  const Flag exclude_own = scope.AddSwitch(
+      "--exclude-own",
+      [options](bool exclude) {
+        options->mutable_scope()->set_exclude_own(exclude);
+      },
+      "Not in the vehicle's own history");
+  const Flag partial = scope.AddSwitch(
+      "--partial",
+      [options](bool allow) {
+        options->mutable_scope()->set_allow_partial(allow);
+      },
+      "Do not wait until the server has read all histories: answer with those "
+      "that it has, and name the others");
+  for (const Flag& flag : {in, exclude_own, partial}) flag.Needs(group);
 }
 
 void AddCandidateFilter(const Command& command, v1::CandidateFilter* filter) {

@@ -28,6 +28,9 @@ void AddPoseView(const Command& command, v1::PoseView* view);
 // Which passes of a place candidates are looked for among.
 void AddDirection(const Command& command, v1::CandidateOptions* options);
 
+// Where else than in the vehicle's own history searches look.
+void AddScope(const Command& command, v1::CandidateOptions* options);
+
 // Which stored candidates are wanted.
 void AddCandidateFilter(const Command& command, v1::CandidateFilter* filter);
 
