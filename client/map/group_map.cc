@@ -89,7 +89,11 @@ absl::StatusOr<GroupOnMap> ReadGroup(const Client& client,
   auto frames = ReadFrameTransforms(client, std::move(request));
   if (!frames.ok()) return frames.status();
   v1::ListInterVehicleLoopClosuresResponse links;
-  if (absl::Status read = ReadLinks(client, group, &links); !read.ok()) {
+  if (absl::Status read = ReadPairs(client, group, &links); !read.ok()) {
+    return read;
+  }
+  v1::ListInterVehicleRejectedCandidatesResponse rejections;
+  if (absl::Status read = ReadPairs(client, group, &rejections); !read.ok()) {
     return read;
   }
   GroupOnMap on_map;
@@ -97,6 +101,8 @@ absl::StatusOr<GroupOnMap> ReadGroup(const Client& client,
                        frames->frame_transforms().end());
   on_map.links.assign(links.loop_closures().begin(),
                       links.loop_closures().end());
+  on_map.rejections.assign(rejections.rejected_candidates().begin(),
+                           rejections.rejected_candidates().end());
   return on_map;
 }
 
@@ -136,7 +142,7 @@ void PlaceVehicles(const GroupOnMap& group, const std::string& vehicle,
   PlaceStretches(stretches, &map->contents);
 }
 
-void AddLinks(const GroupOnMap& group, const std::string& vehicle,
+void AddPairs(const GroupOnMap& group, const std::string& vehicle,
               ServerMap* map) {
   const auto node_of = [&](const v1::MemberPose& pose) {
     const auto nodes = NodesOf(*map, vehicle, pose.vehicle());
@@ -144,13 +150,16 @@ void AddLinks(const GroupOnMap& group, const std::string& vehicle,
                                            nodes->end, pose.sequence()))
                  : std::nullopt;
   };
-  for (const v1::InterVehicleLoopClosure& link : group.links) {
-    const auto query = node_of(link.query());
-    const auto matched = node_of(link.matched());
-    if (!query || !matched) continue;
-    map->contents.closures.push_back(
-        {*query, *matched, link.name(), link.note()});
-  }
+  const auto add = [&](const auto& pairs, std::vector<MapPair>* shown) {
+    for (const auto& pair : pairs) {
+      const auto query = node_of(pair.query());
+      const auto matched = node_of(pair.matched());
+      if (!query || !matched) continue;
+      shown->push_back({*query, *matched, pair.name(), pair.note()});
+    }
+  };
+  add(group.links, &map->contents.closures);
+  add(group.rejections, &map->contents.rejections);
 }
 
 }  // namespace revisit::client

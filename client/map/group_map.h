@@ -14,12 +14,13 @@
 
 namespace revisit::client {
 
-// Where the vehicles of a group lie in the frame of one of them, and the loop
-// closures between them.
+// Where the vehicles of a group lie in the frame of one of them, and what was
+// confirmed and rejected between them.
 struct GroupOnMap {
   // By vehicle and recording.
   std::vector<v1::FrameTransform> frames;
   std::vector<v1::InterVehicleLoopClosure> links;
+  std::vector<v1::InterVehicleRejectedCandidate> rejections;
 };
 
 // Both are resource names. UNAVAILABLE as ListFrameTransforms.
@@ -38,8 +39,8 @@ absl::Status AddOtherVehicles(const Client& client, const GroupOnMap& group,
 void PlaceVehicles(const GroupOnMap& group, const std::string& vehicle,
                    ServerMap* map);
 
-// Adds the loop closures between vehicles that are on the map.
-void AddLinks(const GroupOnMap& group, const std::string& vehicle,
+// Adds what was confirmed and rejected between vehicles that are on the map.
+void AddPairs(const GroupOnMap& group, const std::string& vehicle,
               ServerMap* map);
 
 }  // namespace revisit::client

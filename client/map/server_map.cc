@@ -284,7 +284,7 @@ absl::StatusOr<ServerMap> ReadGroupMap(const Client& client,
   if (!own.ok()) return own.status();
   PlaceVehicles(*on_map, vehicle, &map);
   AddOwn(*own, vehicle, &map);
-  AddLinks(*on_map, vehicle, &map);
+  AddPairs(*on_map, vehicle, &map);
   absl::StrAppend(
       &map.contents.subtitle, ", among ", map.others.size(),
       map.others.size() == 1 ? " other vehicle of " : " other vehicles of ",

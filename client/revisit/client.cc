@@ -19,6 +19,14 @@ using Stub = v1::PoseGraphService::StubInterface;
 
 enum class Retry { kSafe, kNever };
 
+// Which revision a change of a group is for. One for any may be made again
+// where it lost to changes of others.
+enum class Revision { kAny, kExpected };
+
+Revision RevisionOf(std::uint64_t expected_revision) {
+  return expected_revision == 0 ? Revision::kAny : Revision::kExpected;
+}
+
 }  // namespace
 
 struct Client::Rep {
@@ -30,7 +38,8 @@ struct Client::Rep {
   // succeeds or must not be repeated.
   template <typename Attempt>
   absl::Status Run(Retry retry, std::chrono::milliseconds limit,
-                   const Attempt& attempt) {
+                   const Attempt& attempt,
+                   Revision revision = Revision::kExpected) {
     const auto deadline = SystemClock::now() + limit;
     const int attempts = std::max(options.max_attempts, 1);
     Backoff backoff(options.backoff, BackoffSeed());
@@ -48,6 +57,8 @@ struct Client::Rep {
         // lease has run out, and the histories of a group may be long.
         --count;
         backoff.Reset();
+      } else if (revision == Revision::kAny && LostToOthers(status)) {
+        // Nothing was changed.
       } else if (retry == Retry::kNever ||
                  !(absl::IsUnavailable(status) || IsCut(status))) {
         return status;
@@ -64,12 +75,14 @@ struct Client::Rep {
       Retry retry,
       grpc::Status (Stub::*method)(grpc::ClientContext*, const Request&,
                                    Response*),
-      const Request& request) {
+      const Request& request, Revision revision = Revision::kExpected) {
     Response response;
-    const absl::Status status =
-        Run(retry, options.deadline, [&](grpc::ClientContext* context, bool*) {
+    const absl::Status status = Run(
+        retry, options.deadline,
+        [&](grpc::ClientContext* context, bool*) {
           return FromGrpc((stub.get()->*method)(context, request, &response));
-        });
+        },
+        revision);
     if (!status.ok()) return status;
     return response;
   }
@@ -203,27 +216,32 @@ absl::StatusOr<v1::ListGroupsResponse> Client::ListGroups(
 
 absl::StatusOr<v1::UpdateGroupResponse> Client::UpdateGroup(
     const v1::UpdateGroupRequest& request) const {
-  return rep_->Unary(Retry::kNever, &Stub::UpdateGroup, request);
+  return rep_->Unary(Retry::kNever, &Stub::UpdateGroup, request,
+                     RevisionOf(request.expected_revision()));
 }
 
 absl::StatusOr<v1::DeleteGroupResponse> Client::DeleteGroup(
     const v1::DeleteGroupRequest& request) const {
-  return rep_->Unary(Retry::kNever, &Stub::DeleteGroup, request);
+  return rep_->Unary(Retry::kNever, &Stub::DeleteGroup, request,
+                     RevisionOf(request.expected_revision()));
 }
 
 absl::StatusOr<v1::AddGroupMemberResponse> Client::AddGroupMember(
     const v1::AddGroupMemberRequest& request) const {
-  return rep_->Unary(Retry::kSafe, &Stub::AddGroupMember, request);
+  return rep_->Unary(Retry::kSafe, &Stub::AddGroupMember, request,
+                     Revision::kAny);
 }
 
 absl::StatusOr<v1::UpdateGroupMemberResponse> Client::UpdateGroupMember(
     const v1::UpdateGroupMemberRequest& request) const {
-  return rep_->Unary(Retry::kNever, &Stub::UpdateGroupMember, request);
+  return rep_->Unary(Retry::kNever, &Stub::UpdateGroupMember, request,
+                     RevisionOf(request.expected_revision()));
 }
 
 absl::StatusOr<v1::RemoveGroupMemberResponse> Client::RemoveGroupMember(
     const v1::RemoveGroupMemberRequest& request) const {
-  return rep_->Unary(Retry::kNever, &Stub::RemoveGroupMember, request);
+  return rep_->Unary(Retry::kNever, &Stub::RemoveGroupMember, request,
+                     Revision::kAny);
 }
 
 absl::StatusOr<v1::ListGroupMembersResponse> Client::ListGroupMembers(
@@ -234,7 +252,8 @@ absl::StatusOr<v1::ListGroupMembersResponse> Client::ListGroupMembers(
 absl::StatusOr<v1::AddInterVehicleLoopClosureResponse>
 Client::AddInterVehicleLoopClosure(
     const v1::AddInterVehicleLoopClosureRequest& request) const {
-  return rep_->Unary(Retry::kSafe, &Stub::AddInterVehicleLoopClosure, request);
+  return rep_->Unary(Retry::kSafe, &Stub::AddInterVehicleLoopClosure, request,
+                     Revision::kAny);
 }
 
 absl::StatusOr<v1::ListInterVehicleLoopClosuresResponse>
@@ -248,7 +267,28 @@ absl::StatusOr<v1::DeleteInterVehicleLoopClosureResponse>
 Client::DeleteInterVehicleLoopClosure(
     const v1::DeleteInterVehicleLoopClosureRequest& request) const {
   return rep_->Unary(Retry::kNever, &Stub::DeleteInterVehicleLoopClosure,
+                     request, Revision::kAny);
+}
+
+absl::StatusOr<v1::RejectInterVehicleCandidateResponse>
+Client::RejectInterVehicleCandidate(
+    const v1::RejectInterVehicleCandidateRequest& request) const {
+  return rep_->Unary(Retry::kSafe, &Stub::RejectInterVehicleCandidate, request,
+                     Revision::kAny);
+}
+
+absl::StatusOr<v1::ListInterVehicleRejectedCandidatesResponse>
+Client::ListInterVehicleRejectedCandidates(
+    const v1::ListInterVehicleRejectedCandidatesRequest& request) const {
+  return rep_->Unary(Retry::kSafe, &Stub::ListInterVehicleRejectedCandidates,
                      request);
+}
+
+absl::StatusOr<v1::DeleteInterVehicleRejectedCandidateResponse>
+Client::DeleteInterVehicleRejectedCandidate(
+    const v1::DeleteInterVehicleRejectedCandidateRequest& request) const {
+  return rep_->Unary(Retry::kNever, &Stub::DeleteInterVehicleRejectedCandidate,
+                     request, Revision::kAny);
 }
 
 absl::StatusOr<v1::ListFrameTransformsResponse> Client::ListFrameTransforms(

@@ -14,7 +14,9 @@
 // made again, as often as the deadline allows and as soon as RetryInfo says,
 // with the owner's address for a proxy that routes by it. A search in a group
 // that answers GROUP_NOT_READY, while the server reads histories, is made again
-// as often as the deadline allows too. Nothing else is.
+// as often as the deadline allows too. A change of a group for any revision
+// that lost to changes of others (REVISION_MISMATCH) has changed nothing, and
+// is made again like one that answers UNAVAILABLE. Nothing else is.
 #ifndef REVISIT_CLIENT_REVISIT_CLIENT_H_
 #define REVISIT_CLIENT_REVISIT_CLIENT_H_
 
@@ -153,6 +155,18 @@ class Client {
   absl::StatusOr<v1::DeleteInterVehicleLoopClosureResponse>
   DeleteInterVehicleLoopClosure(
       const v1::DeleteInterVehicleLoopClosureRequest& request) const;
+  // Retried, as RejectCandidate.
+  absl::StatusOr<v1::RejectInterVehicleCandidateResponse>
+  RejectInterVehicleCandidate(
+      const v1::RejectInterVehicleCandidateRequest& request) const;
+  // Retried.
+  absl::StatusOr<v1::ListInterVehicleRejectedCandidatesResponse>
+  ListInterVehicleRejectedCandidates(
+      const v1::ListInterVehicleRejectedCandidatesRequest& request) const;
+  // Not retried: it could delete a new rejected candidate of the same name.
+  absl::StatusOr<v1::DeleteInterVehicleRejectedCandidateResponse>
+  DeleteInterVehicleRejectedCandidate(
+      const v1::DeleteInterVehicleRejectedCandidateRequest& request) const;
   // Retried.
   absl::StatusOr<v1::ListFrameTransformsResponse> ListFrameTransforms(
       const v1::ListFrameTransformsRequest& request) const;

@@ -88,6 +88,10 @@ bool WasElsewhere(const absl::Status& status) {
   return reason == "NOT_OWNER" || reason == "EPOCH_FENCED";
 }
 
+bool LostToOthers(const absl::Status& status) {
+  return DetailsOf(status).reason == "REVISION_MISMATCH";
+}
+
 bool ReadsHistories(const absl::Status& status) {
   return DetailsOf(status).reason == "GROUP_NOT_READY";
 }

@@ -54,6 +54,11 @@ bool IsCut(const absl::Status& status);
 // call that must not be done twice may be made again.
 bool WasElsewhere(const absl::Status& status);
 
+// Whether a change of a group was not made because others changed the group at
+// the same time (REVISION_MISMATCH): where it was for any revision, it may be
+// made again.
+bool LostToOthers(const absl::Status& status);
+
 // Whether a search in a group was not made because the server still reads
 // histories of its members (GROUP_NOT_READY): it goes on with that meanwhile.
 bool ReadsHistories(const absl::Status& status);

@@ -40,7 +40,7 @@ absl::StatusOr<v1::ListFrameTransformsResponse> ReadFrameTransforms(
   return all;
 }
 
-absl::Status ReadLinks(const Client& client, const std::string& group,
+absl::Status ReadPairs(const Client& client, const std::string& group,
                        v1::ListInterVehicleLoopClosuresResponse* links) {
   v1::ListInterVehicleLoopClosuresRequest request;
   request.set_parent(group);
@@ -56,6 +56,27 @@ absl::Status ReadLinks(const Client& client, const std::string& group,
       [&](const v1::ListInterVehicleLoopClosuresResponse& page)
           -> absl::StatusOr<bool> {
         links->mutable_loop_closures()->MergeFrom(page.loop_closures());
+        return true;
+      });
+}
+
+absl::Status ReadPairs(
+    const Client& client, const std::string& group,
+    v1::ListInterVehicleRejectedCandidatesResponse* rejections) {
+  v1::ListInterVehicleRejectedCandidatesRequest request;
+  request.set_parent(group);
+  request.set_page_size(kPageSize);
+  return VisitPages(
+      std::move(request),
+      [&](const v1::ListInterVehicleRejectedCandidatesRequest& asked) {
+        return client.ListInterVehicleRejectedCandidates(asked);
+      },
+      [](const v1::ListInterVehicleRejectedCandidatesResponse& page) -> const
+      auto& { return page.rejected_candidates(); },
+      [&](const v1::ListInterVehicleRejectedCandidatesResponse& page)
+          -> absl::StatusOr<bool> {
+        rejections->mutable_rejected_candidates()->MergeFrom(
+            page.rejected_candidates());
         return true;
       });
 }

@@ -16,10 +16,14 @@ namespace revisit::client {
 absl::StatusOr<v1::ListFrameTransformsResponse> ReadFrameTransforms(
     const Client& client, v1::ListFrameTransformsRequest request);
 
-// Adds all loop closures of a group, by name. `group` is a resource name.
-// DATA_LOSS if some are damaged; the others are there all the same.
-absl::Status ReadLinks(const Client& client, const std::string& group,
+// Adds all loop closures of a group, or all its rejected candidates, by name.
+// `group` is a resource name. DATA_LOSS if some are damaged; the others are
+// there all the same.
+absl::Status ReadPairs(const Client& client, const std::string& group,
                        v1::ListInterVehicleLoopClosuresResponse* links);
+absl::Status ReadPairs(
+    const Client& client, const std::string& group,
+    v1::ListInterVehicleRejectedCandidatesResponse* rejections);
 
 }  // namespace revisit::client
 

@@ -23,6 +23,7 @@
 #include "core/drive/node_range.h"
 #include "core/drive/pose_graph.h"
 #include "core/drive/recordings.h"
+#include "core/drive/rejected_places.h"
 #include "core/drive/retention.h"
 #include "core/drive/stamps.h"
 #include "core/geometry/pose.h"
@@ -814,17 +815,13 @@ std::vector<NodeRange> Drive::NotSought(NodeIndex query,
                                         double separation_meters) const {
   const Recordings& recordings = impl_->recordings;
   const auto nearer = [&](NodeIndex centre, double meters) {
-    return Common(
-        NodesNearer(impl_->graph, centre, meters),
-        recordings.NodesOf(recordings.Of(centre), impl_->graph.size()));
+    return NodesAround(impl_->graph, recordings, centre, meters);
   };
   std::vector<NodeRange> nodes = {nearer(query, separation_meters)};
-  // Slightly more, so that nodes at exactly this distance are excluded too.
-  const double around =
-      std::max(separation_meters, kPlaceRadiusMeters) * (1.0 + 1e-9);
+  const double around = RejectedRadiusMeters(separation_meters);
   for (const auto& [rejected_query, rejected_match] : impl_->rejected) {
-    if (recordings.Of(rejected_query) == recordings.Of(query) &&
-        impl_->graph.MetersApart(rejected_query, query) <= around) {
+    if (IsNearRejected(impl_->graph, recordings, rejected_query, around,
+                       query)) {
       nodes.push_back(nearer(rejected_match, around));
     }
   }

@@ -3,6 +3,8 @@
 #include <cassert>
 #include <utility>
 
+#include "core/drive/rejected_places.h"
+
 namespace revisit::core {
 namespace {
 
@@ -19,8 +21,11 @@ std::size_t CountRecordings(const DriveView& view) {
 }  // namespace
 
 JoinedDrives::JoinedDrives(std::vector<JoinedDrive> drives,
-                           std::vector<FrameLink> links)
-    : drives_(std::move(drives)), links_(std::move(links)) {
+                           std::vector<FrameLink> links,
+                           std::vector<FrameLink> rejected)
+    : drives_(std::move(drives)),
+      links_(std::move(links)),
+      rejected_(std::move(rejected)) {
   for (const JoinedDrive& drive : drives_) {
     const DriveView& view = *drive.view;
     std::optional<std::size_t>& frame = frames_.emplace_back();
@@ -102,6 +107,30 @@ SeenFrames JoinedDrives::SeenFrom(const FrameNodes& nodes,
     if (from && to) seen.relations.AddLink(*from, *to, link.loop);
   }
   return seen;
+}
+
+std::vector<NodeRange> JoinedDrives::NotSought(std::size_t drive,
+                                               std::size_t asking,
+                                               const PoseGraph& graph,
+                                               const Recordings& recordings,
+                                               NodeIndex query,
+                                               double separation_meters) const {
+  std::vector<NodeRange> nodes;
+  const DriveView& other = view(drive);
+  const double around = RejectedRadiusMeters(separation_meters);
+  for (const FrameLink& pair : rejected_) {
+    const bool asks = pair.query_drive == asking;
+    const std::size_t far_drive = asks ? pair.matched_drive : pair.query_drive;
+    const std::size_t near_drive = asks ? pair.query_drive : pair.matched_drive;
+    if (near_drive != asking || far_drive != drive) continue;
+    const NodeIndex near = asks ? pair.loop.query : pair.loop.matched;
+    const NodeIndex far = asks ? pair.loop.matched : pair.loop.query;
+    if (near < graph.size() && far < other.graph.size() &&
+        IsNearRejected(graph, recordings, near, around, query)) {
+      nodes.push_back(NodesAround(other.graph, other.recordings, far, around));
+    }
+  }
+  return nodes;
 }
 
 std::vector<std::vector<FrameRelation>> JoinedDrives::SeenFromLast(

@@ -18,6 +18,7 @@
 #include "core/drive/frame_relation.h"
 #include "core/drive/frame_relations.h"
 #include "core/drive/node_index.h"
+#include "core/drive/node_range.h"
 #include "core/drive/recordings.h"
 #include "core/geometry/recording_start.h"
 
@@ -52,7 +53,10 @@ class JoinedDrives {
   // Links come in the order in which they were confirmed. Those with a node
   // that a view does not have yet tie nothing, nor do those of two drives of
   // other state spaces or noise models. REQUIRES: each link is of two drives.
-  JoinedDrives(std::vector<JoinedDrive> drives, std::vector<FrameLink> links);
+  // `rejected` have the nodes of two drives that are not one place: these tie
+  // nothing.
+  JoinedDrives(std::vector<JoinedDrive> drives, std::vector<FrameLink> links,
+               std::vector<FrameLink> rejected = {});
 
   std::size_t size() const { return drives_.size(); }
   const DriveView& view(std::size_t drive) const {
@@ -68,6 +72,16 @@ class JoinedDrives {
   SeenFrames SeenFrom(const FrameNodes& nodes, const Recordings& recordings,
                       NodeIndex query, const std::vector<ConfirmedLoop>& loops,
                       std::optional<std::size_t> asking) const;
+
+  // The nodes of another drive that a search of the asking one at a node does
+  // not seek: those near a place that was rejected near the query, by the rule
+  // of Drive::NotSought(). Graph and recordings are those of the asking drive;
+  // its view does not count.
+  std::vector<NodeRange> NotSought(std::size_t drive, std::size_t asking,
+                                   const PoseGraph& graph,
+                                   const Recordings& recordings,
+                                   NodeIndex query,
+                                   double separation_meters) const;
 
   // By drive and recording: where its frame lies in that of the asking drive's
   // last recording, by all that is joined. Empty for drives without nodes, or
@@ -99,6 +113,7 @@ class JoinedDrives {
 
   std::vector<JoinedDrive> drives_;
   std::vector<FrameLink> links_;
+  std::vector<FrameLink> rejected_;
   std::vector<Kind> kinds_;
   // By drive; nothing for those without nodes.
   std::vector<std::optional<std::size_t>> frames_;

@@ -39,7 +39,7 @@ const std::vector<char>& GrowthOfOthers::Of(const DriveView& view,
 
 OtherDrives::OtherDrives(const DriveSettings& settings,
                          const SearchOptions& options, const SearchScope& scope)
-    : scope_(scope) {
+    : scope_(scope), separation_meters_(options.candidate_separation_meters) {
   for (std::size_t d = 0; d < scope.drives->size(); ++d) {
     const DriveView& view = scope.drives->view(d);
     if (scope.asking == d || !scope.Searches(d)) continue;
@@ -81,24 +81,30 @@ NodeIndex OtherDrives::size() const {
 
 void OtherDrives::AddHistories(const FrameRelations& frames,
                                const std::vector<FrameRelation>& ties,
-                               std::size_t asking, const FrameNodes& nodes,
-                               GrowthOfOthers* growth,
+                               const Asking& asking, GrowthOfOthers* growth,
                                std::vector<History>* histories) const {
   growth->Enter(scope_.drives);
   for (const std::size_t d : searched_) {
     const DriveView& view = scope_.drives->view(d);
-    const std::size_t first = *scope_.drives->FrameOf(d, nodes);
+    const std::size_t first = *scope_.drives->FrameOf(d, asking.nodes);
+    std::vector<NodeRange> not_sought;
+    if (scope_.asking) {
+      not_sought = scope_.drives->NotSought(
+          d, *scope_.asking, asking.nodes.graph, asking.recordings,
+          asking.query, separation_meters_);
+    }
     for (std::size_t k = 0; k < view.recordings.size(); ++k) {
       const std::size_t frame = first + k;
       const NodeRange range = view.recordings.NodesOf(k, view.graph.size());
-      History history{view.graph,
-                      range.last,
-                      {},
-                      &view.motion_history.heading_bins(),
-                      &view.block_bounds,
-                      Relation(frames.Between(asking, frame), ties[frame], {}),
-                      range.first,
-                      frame};
+      History history{
+          view.graph,
+          range.last,
+          not_sought,
+          &view.motion_history.heading_bins(),
+          &view.block_bounds,
+          Relation(frames.Between(asking.frame, frame), ties[frame], {}),
+          range.first,
+          frame};
       if (const auto& reference = ties[frame].other_node) {
         history.growing = &growth->Of(view, k, *reference);
       }

@@ -58,11 +58,18 @@ class OtherDrives {
   // The motion of the drives that are searched.
   const std::vector<DrivenMotion>& motion() const { return motion_; }
 
-  // Adds the histories of the drives that are searched. `asking`: the frame of
-  // the query's recording among those seen, `nodes` those of its drive.
+  // Who asks: the frame of the query's recording among those seen, the nodes
+  // and recordings of its drive, and the query.
+  struct Asking {
+    std::size_t frame = 0;
+    const FrameNodes& nodes;
+    const Recordings& recordings;
+    NodeIndex query = 0;
+  };
+  // Adds the histories of the drives that are searched.
   void AddHistories(const FrameRelations& frames,
-                    const std::vector<FrameRelation>& ties, std::size_t asking,
-                    const FrameNodes& nodes, GrowthOfOthers* growth,
+                    const std::vector<FrameRelation>& ties,
+                    const Asking& asking, GrowthOfOthers* growth,
                     std::vector<History>* histories) const;
 
  private:
@@ -71,6 +78,7 @@ class OtherDrives {
                                          const SearchOptions& options) const;
 
   const SearchScope& scope_;
+  const double separation_meters_;
   // Indexes of the drives that are searched.
   std::vector<std::size_t> searched_;
   std::vector<UnsearchedDrive> unsearched_;

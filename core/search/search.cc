@@ -567,7 +567,9 @@ void Search::Impl::AddHistories(const Extent& extent, const OtherDrives* others,
                                GrowingBlocks(k, ties[frame].other_node)});
   }
   if (extent.others > 0) {
-    others->AddHistories(*task->frames, ties, asking, drive_.frame_nodes(),
+    const FrameNodes own = drive_.frame_nodes();
+    others->AddHistories(*task->frames, ties,
+                         {asking, own, drive_.recordings(), task->query.node},
                          &growth_of_others_, &task->histories);
   }
 }

@@ -13,6 +13,7 @@
 #include "server/fields/group_settings.h"
 #include "server/fields/recording_starts.h"
 #include "server/fields/timestamps.h"
+#include "server/groups/link_kind.h"
 #include "server/storage/record_check.h"
 
 namespace revisit::server {
@@ -91,6 +92,77 @@ void SetPose(const std::string& vehicle_id, std::uint64_t sequence,
              v1::MemberPose* pose) {
   pose->set_vehicle(VehicleName(vehicle_id));
   pose->set_sequence(sequence);
+}
+
+// What a message says beside its poses.
+PairContent ContentOf(const v1::InterVehicleLoopClosure& closure,
+                      const FieldPath& path, Violations* violations) {
+  return LoopContentOf(closure, path, violations);
+}
+PairContent ContentOf(const v1::InterVehicleRejectedCandidate& rejection,
+                      const FieldPath& path, Violations* violations) {
+  return RejectionContentOf(rejection, path, violations);
+}
+
+void SetContent(const PairContent& content,
+                v1::InterVehicleLoopClosure* closure) {
+  SetLoopContent(content, closure);
+}
+void SetContent(const PairContent& content,
+                v1::InterVehicleRejectedCandidate* rejection) {
+  SetRejectionContent(content, rejection);
+}
+
+template <typename Message>
+absl::StatusOr<NewLink> DecodeNew(PairKind kind, const Message& pair,
+                                  const std::string& given_id,
+                                  const std::string& decided_by) {
+  const FieldPath path = kRequestPath.Field(WordsOf(kind).field);
+  Violations violations;
+  NewLink link;
+  link.kind = kind;
+  link.query = DecodePose(pair.query(), path.Field("query"), &violations);
+  link.matched = DecodePose(pair.matched(), path.Field("matched"), &violations);
+  if (!link.query.vehicle_id.empty() &&
+      link.query.vehicle_id == link.matched.vehicle_id) {
+    const FieldPath matched = path.Field("matched");
+    violations.Add(
+        kInvalidField, matched.Field("vehicle"),
+        absl::StrCat("it is that of the query; two poses of one "
+                     "vehicle are for ",
+                     kind == PairKind::kLoopClosure ? "AddLoopClosure"
+                                                    : "RejectCandidate"));
+  }
+  LinkContent content;
+  content.content = ContentOf(pair, path, &violations);
+  content.content.decided_by = decided_by;
+  link.id = given_id.empty() ? IdOf(link.query, link.matched) : given_id;
+  const std::string id_field = absl::StrCat(WordsOf(kind).field, "_id");
+  const FieldPath id = kRequestPath.Field(id_field.c_str());
+  const absl::Status id_status = CheckId(link.id, id);
+  if (violations.count() == 0 && !id_status.ok()) return id_status;
+  if (!id_status.ok()) {
+    violations.Add("INVALID_RESOURCE_NAME", id,
+                   absl::StrCat("got ", Quoted(link.id), ", which is no id"));
+  }
+  if (violations.count() > 0) return violations.ToStatus();
+  link.payload = EncodeLinkContent(content);
+  return link;
+}
+
+template <typename Message>
+absl::Status Encode(const std::string& group_id,
+                    const std::string& query_vehicle,
+                    const std::string& matched_vehicle,
+                    const GroupLinkRecord& record, Message* message) {
+  if (!record.damage.ok()) return record.damage;
+  message->set_name(GroupLinkName(KindOf(record), group_id, LinkIdOf(record)));
+  SetPose(query_vehicle, record.query.sequence, message->mutable_query());
+  SetPose(matched_vehicle, record.matched.sequence, message->mutable_matched());
+  return ReadLinkContent(record.payload, [&](const LinkContent& link) {
+    SetContent(link.content, message);
+    EncodeTime(link.create_time_ns, message->mutable_create_time());
+  });
 }
 
 }  // namespace
@@ -189,40 +261,20 @@ absl::Status EncodeMember(const std::string& group_id,
                            });
 }
 
-// ---- Loop closures
+// ---- Loop closures and rejected candidates
 
 absl::StatusOr<NewLink> DecodeLink(
     const v1::AddInterVehicleLoopClosureRequest& request,
     const std::string& decided_by) {
-  const FieldPath path = kRequestPath.Field("loop_closure");
-  const v1::InterVehicleLoopClosure& closure = request.loop_closure();
-  Violations violations;
-  NewLink link;
-  link.query = DecodePose(closure.query(), path.Field("query"), &violations);
-  link.matched =
-      DecodePose(closure.matched(), path.Field("matched"), &violations);
-  if (!link.query.vehicle_id.empty() &&
-      link.query.vehicle_id == link.matched.vehicle_id) {
-    const FieldPath matched = path.Field("matched");
-    violations.Add(kInvalidField, matched.Field("vehicle"),
-                   "it is that of the query; two poses of one vehicle are "
-                   "linked with AddLoopClosure");
-  }
-  LinkContent content;
-  content.content = LoopContentOf(closure, path, &violations);
-  content.content.decided_by = decided_by;
-  link.id = request.loop_closure_id().empty() ? IdOf(link.query, link.matched)
-                                              : request.loop_closure_id();
-  const FieldPath id = kRequestPath.Field("loop_closure_id");
-  const absl::Status id_status = CheckId(link.id, id);
-  if (violations.count() == 0 && !id_status.ok()) return id_status;
-  if (!id_status.ok()) {
-    violations.Add("INVALID_RESOURCE_NAME", id,
-                   absl::StrCat("got ", Quoted(link.id), ", which is no id"));
-  }
-  if (violations.count() > 0) return violations.ToStatus();
-  link.payload = EncodeLinkContent(content);
-  return link;
+  return DecodeNew(PairKind::kLoopClosure, request.loop_closure(),
+                   request.loop_closure_id(), decided_by);
+}
+
+absl::StatusOr<NewLink> DecodeLink(
+    const v1::RejectInterVehicleCandidateRequest& request,
+    const std::string& decided_by) {
+  return DecodeNew(PairKind::kRejectedCandidate, request.rejected_candidate(),
+                   request.rejected_candidate_id(), decided_by);
 }
 
 absl::Status EncodeLink(const std::string& group_id,
@@ -230,14 +282,15 @@ absl::Status EncodeLink(const std::string& group_id,
                         const std::string& matched_vehicle,
                         const GroupLinkRecord& record,
                         v1::InterVehicleLoopClosure* closure) {
-  if (!record.damage.ok()) return record.damage;
-  closure->set_name(GroupLinkName(group_id, record.id));
-  SetPose(query_vehicle, record.query.sequence, closure->mutable_query());
-  SetPose(matched_vehicle, record.matched.sequence, closure->mutable_matched());
-  return ReadLinkContent(record.payload, [&](const LinkContent& link) {
-    SetLoopContent(link.content, closure);
-    EncodeTime(link.create_time_ns, closure->mutable_create_time());
-  });
+  return Encode(group_id, query_vehicle, matched_vehicle, record, closure);
+}
+
+absl::Status EncodeLink(const std::string& group_id,
+                        const std::string& query_vehicle,
+                        const std::string& matched_vehicle,
+                        const GroupLinkRecord& record,
+                        v1::InterVehicleRejectedCandidate* rejection) {
+  return Encode(group_id, query_vehicle, matched_vehicle, record, rejection);
 }
 
 }  // namespace revisit::server

@@ -46,21 +46,29 @@ absl::Status EncodeMember(const std::string& group_id,
                           const GroupMemberRecord& record,
                           v1::GroupMember* member);
 
-// ---- Loop closures
+// ---- Loop closures and rejected candidates
 
 // An id that was left out is made from vehicles and sequences. `decided_by` is
 // the caller's identity: that of the message is not read.
 absl::StatusOr<NewLink> DecodeLink(
     const v1::AddInterVehicleLoopClosureRequest& request,
     const std::string& decided_by);
+absl::StatusOr<NewLink> DecodeLink(
+    const v1::RejectInterVehicleCandidateRequest& request,
+    const std::string& decided_by);
 
 // The vehicles' ids are those of the record's ends. DATA_LOSS if the row is
-// damaged.
+// damaged. REQUIRES: the record is of the message's kind.
 absl::Status EncodeLink(const std::string& group_id,
                         const std::string& query_vehicle,
                         const std::string& matched_vehicle,
                         const GroupLinkRecord& record,
                         v1::InterVehicleLoopClosure* closure);
+absl::Status EncodeLink(const std::string& group_id,
+                        const std::string& query_vehicle,
+                        const std::string& matched_vehicle,
+                        const GroupLinkRecord& record,
+                        v1::InterVehicleRejectedCandidate* rejection);
 
 }  // namespace revisit::server
 

@@ -1,5 +1,5 @@
-// The content of a loop closure beside its poses, in one vehicle or between
-// two.
+// The content of a loop closure, or of a rejected candidate, beside its poses,
+// in one vehicle or between two.
 #ifndef REVISIT_SERVER_CONVERSION_LOOP_CONTENT_H_
 #define REVISIT_SERVER_CONVERSION_LOOP_CONTENT_H_
 
@@ -51,6 +51,23 @@ void SetLoopContent(const PairContent& content, LoopClosure* closure) {
   closure->set_note(content.note);
   if (content.score) closure->set_score(*content.score);
   closure->set_decided_by(content.decided_by);
+}
+
+// The same of a rejected candidate.
+template <typename RejectedCandidate>
+PairContent RejectionContentOf(const RejectedCandidate& rejection,
+                               const FieldPath& path, Violations* violations) {
+  CheckNote(rejection.note(), path, violations);
+  PairContent content;
+  content.note = rejection.note();
+  return content;
+}
+
+template <typename RejectedCandidate>
+void SetRejectionContent(const PairContent& content,
+                         RejectedCandidate* rejection) {
+  rejection->set_note(content.note);
+  rejection->set_decided_by(content.decided_by);
 }
 
 }  // namespace revisit::server

@@ -14,7 +14,6 @@ constexpr char kInvalidName[] = "INVALID_RESOURCE_NAME";
 constexpr char kVehicles[] = "vehicles/";
 constexpr char kGroups[] = "groups/";
 constexpr char kMembers[] = "/members/";
-constexpr char kGroupLinks[] = "/loopClosures/";
 constexpr char kChecks[] = "/checks/";
 constexpr char kCandidates[] = "/candidates/";
 
@@ -46,7 +45,7 @@ absl::StatusOr<std::string> ParseTopName(const std::string& collection,
 
 // The ids in a name of a group, `collection` and an id.
 absl::StatusOr<NameInGroup> ParseNameInGroup(const std::string& collection,
-                                             const char* form,
+                                             const std::string& form,
                                              const std::string& name,
                                              const FieldPath& path) {
   const std::size_t at = name.rfind(collection);
@@ -103,8 +102,9 @@ std::string MemberName(const std::string& group_id,
   return absl::StrCat(GroupName(group_id), kMembers, vehicle_id);
 }
 
-std::string GroupLinkName(const std::string& group_id, const std::string& id) {
-  return absl::StrCat(GroupName(group_id), kGroupLinks, id);
+std::string GroupLinkName(PairKind kind, const std::string& group_id,
+                          const std::string& id) {
+  return absl::StrCat(GroupName(group_id), CollectionOf(kind), id);
 }
 
 absl::Status CheckId(const std::string& id, const FieldPath& path) {
@@ -149,10 +149,14 @@ absl::StatusOr<NameInGroup> ParseMemberName(const std::string& name,
                           path);
 }
 
-absl::StatusOr<NameInGroup> ParseGroupLinkName(const std::string& name,
+absl::StatusOr<NameInGroup> ParseGroupLinkName(PairKind kind,
+                                               const std::string& name,
                                                const FieldPath& path) {
+  const std::string collection = CollectionOf(kind);
   return ParseNameInGroup(
-      kGroupLinks, "groups/{group}/loopClosures/{loop_closure}", name, path);
+      collection,
+      absl::StrCat("groups/{group}", collection, "{", WordsOf(kind).field, "}"),
+      name, path);
 }
 
 absl::StatusOr<PosePairName> ParsePosePairName(PairKind kind,

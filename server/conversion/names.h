@@ -39,8 +39,10 @@ std::string GroupName(const std::string& group_id);
 // `groups/{group}/members/{vehicle}`.
 std::string MemberName(const std::string& group_id,
                        const std::string& vehicle_id);
-// `groups/{group}/loopClosures/{loop_closure}`.
-std::string GroupLinkName(const std::string& group_id, const std::string& id);
+// `groups/{group}/loopClosures/{loop_closure}` or
+// `groups/{group}/rejectedCandidates/{rejected_candidate}`.
+std::string GroupLinkName(PairKind kind, const std::string& group_id,
+                          const std::string& id);
 
 // INVALID_ARGUMENT (INVALID_RESOURCE_NAME) unless the id matches the pattern of
 // ids.
@@ -57,12 +59,13 @@ absl::StatusOr<std::string> ParseGroupName(const std::string& name,
 // The ids in the name of what belongs to a group.
 struct NameInGroup {
   std::string group_id;
-  // Of the vehicle, or of the loop closure.
+  // Of the vehicle, the loop closure, or the rejected candidate.
   std::string id;
 };
 absl::StatusOr<NameInGroup> ParseMemberName(const std::string& name,
                                             const FieldPath& path);
-absl::StatusOr<NameInGroup> ParseGroupLinkName(const std::string& name,
+absl::StatusOr<NameInGroup> ParseGroupLinkName(PairKind kind,
+                                               const std::string& name,
                                                const FieldPath& path);
 
 // INVALID_ARGUMENT (INVALID_FIELD) unless the uid of a vehicle is empty or has

@@ -39,10 +39,7 @@ PairContent ContentOf(const v1::LoopClosure& closure, const FieldPath& path,
 
 PairContent ContentOf(const v1::RejectedCandidate& rejection,
                       const FieldPath& path, Violations* violations) {
-  CheckNote(rejection.note(), path, violations);
-  PairContent content;
-  content.note = rejection.note();
-  return content;
+  return RejectionContentOf(rejection, path, violations);
 }
 
 void SetContent(const PairContent& content, v1::LoopClosure* closure) {
@@ -50,8 +47,7 @@ void SetContent(const PairContent& content, v1::LoopClosure* closure) {
 }
 
 void SetContent(const PairContent& content, v1::RejectedCandidate* rejection) {
-  rejection->set_note(content.note);
-  rejection->set_decided_by(content.decided_by);
+  SetRejectionContent(content, rejection);
 }
 
 template <typename Message>

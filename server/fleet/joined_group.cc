@@ -67,6 +67,14 @@ class Joining {
     return links;
   }
 
+  std::vector<core::FrameLink> Rejected() const {
+    std::vector<core::FrameLink> rejected;
+    for (const GroupLinkRecord& record : group_.rejected) {
+      if (const auto link = NodesOf(record)) rejected.push_back(*link);
+    }
+    return rejected;
+  }
+
  private:
   // Null where there is none, or none for the vehicle as it is now.
   static Datum DatumOf(const GroupMemberRecord& member,
@@ -91,18 +99,26 @@ class Joining {
     }
   }
 
-  std::optional<core::FrameLink> LinkOf(const GroupLinkRecord& record,
-                                        const PoseReader& read_pose) const {
+  // Without what was measured.
+  std::optional<core::FrameLink> NodesOf(const GroupLinkRecord& record) const {
     const auto query = drives_.find(record.query.vehicle);
     const auto matched = drives_.find(record.matched.vehicle);
     if (query == drives_.end() || matched == drives_.end()) return std::nullopt;
-    const KnownHistory& asking = *histories_[query->second];
-    const KnownHistory& other = *histories_[matched->second];
-    const auto query_node = NodeAt(asking, record.query.sequence);
-    const auto matched_node = NodeAt(other, record.matched.sequence);
+    const auto query_node =
+        NodeAt(*histories_[query->second], record.query.sequence);
+    const auto matched_node =
+        NodeAt(*histories_[matched->second], record.matched.sequence);
     if (!query_node || !matched_node) return std::nullopt;
-    core::FrameLink link{
+    return core::FrameLink{
         query->second, matched->second, {*query_node, *matched_node, nullptr}};
+  }
+
+  std::optional<core::FrameLink> LinkOf(const GroupLinkRecord& record,
+                                        const PoseReader& read_pose) const {
+    std::optional<core::FrameLink> link = NodesOf(record);
+    if (!link) return std::nullopt;
+    const KnownHistory& asking = *histories_[link->query_drive];
+    const KnownHistory& other = *histories_[link->matched_drive];
     const absl::StatusOr<std::optional<core::LoopMeasurement>> measurement =
         DecodeLinkMeasurement(record.payload, asking.config.drive.state_space);
     if (!measurement.ok()) return std::nullopt;
@@ -110,7 +126,7 @@ class Joining {
     const auto query_pose = read_pose(asking, record.query.sequence);
     const auto matched_pose = read_pose(other, record.matched.sequence);
     if (!query_pose || !matched_pose) return std::nullopt;
-    link.loop.measured = std::make_shared<const core::MeasuredLoop>(
+    link->loop.measured = std::make_shared<const core::MeasuredLoop>(
         core::MeasuredLoop{**measurement, *query_pose, *matched_pose});
     return link;
   }
@@ -137,7 +153,7 @@ std::shared_ptr<const JoinedGroup> JoinGroup(
     const PoseReader& read_pose) {
   const Joining joining(*group, histories);
   auto drives = std::make_shared<const core::JoinedDrives>(
-      joining.Drives(), joining.Links(read_pose));
+      joining.Drives(), joining.Links(read_pose), joining.Rejected());
   return std::make_shared<const JoinedGroup>(
       JoinedGroup{std::move(group), std::move(histories), std::move(drives)});
 }

@@ -31,7 +31,8 @@ using PoseReader = std::function<std::optional<core::PoseEstimate>(
     const KnownHistory& history, std::uint64_t sequence)>;
 
 // Links that name a pose which a history does not have, or has dropped, tie
-// nothing. REQUIRES: the histories are of members, by the vehicles' ids.
+// nothing, and such rejected candidates exclude nothing. REQUIRES: the
+// histories are of members, by the vehicles' ids.
 std::shared_ptr<const JoinedGroup> JoinGroup(
     std::shared_ptr<const StoredGroup> group,
     std::vector<std::shared_ptr<const KnownHistory>> histories,

@@ -23,6 +23,10 @@ absl::Status ReadMembers(GroupStorage* groups, StoredGroup* group) {
 
 absl::Status ReadLinks(GroupStorage* groups, StoredGroup* group) {
   return VisitLinks(groups, group->id, [group](GroupLinkRecord& link) {
+    if (link.damage.ok() && link.state == LinkState::kRejected) {
+      group->rejected.push_back(std::move(link));
+      return true;
+    }
     if (!link.damage.ok() || link.state != LinkState::kConfirmed) return true;
     std::int64_t create_time_ns = 0;
     const absl::Status read =

@@ -26,6 +26,8 @@ struct StoredGroup {
   std::vector<GroupMemberRecord> members;
   // In the order in which they were added.
   std::vector<StoredLink> links;
+  // Rejected candidates, in no order.
+  std::vector<GroupLinkRecord> rejected;
 };
 
 // Damaged links tie nothing and are left out; damaged members are there.

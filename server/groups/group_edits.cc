@@ -12,8 +12,10 @@
 #include "server/base/status.h"
 #include "server/fields/field_violations.h"
 #include "server/groups/group_reads.h"
+#include "server/groups/link_kind.h"
 #include "server/groups/stored_vehicle.h"
 #include "server/records/group_content.h"
+#include "server/storage/record_check.h"
 
 namespace revisit::server {
 namespace {
@@ -30,14 +32,21 @@ absl::Status LimitReached(const std::string& group_id, std::size_t limit,
 // What there is of a group's links, beside one that is looked for.
 struct LinksSeen {
   std::optional<GroupLinkRecord> same_id;
+  // One of the same two poses, whichever of them asked, of the other kind.
+  std::optional<GroupLinkRecord> conflict;
   std::size_t count = 0;
   // The last time of creation; damaged links have none.
   std::int64_t last_time_ns = 0;
 };
 
+bool AreOfOnePair(const GroupLinkRecord& a, const GroupLinkRecord& b) {
+  return (a.query == b.query && a.matched == b.matched) ||
+         (a.query == b.matched && a.matched == b.query);
+}
+
 absl::StatusOr<LinksSeen> LookAtLinks(GroupStorage* groups,
                                       const std::string& group_id,
-                                      const std::string& id) {
+                                      const GroupLinkRecord& wanted) {
   LinksSeen seen;
   const absl::Status status =
       VisitLinks(groups, group_id, [&](GroupLinkRecord& link) {
@@ -49,7 +58,13 @@ absl::StatusOr<LinksSeen> LookAtLinks(GroupStorage* groups,
                     std::max(seen.last_time_ns, content.create_time_ns);
               }));
         }
-        if (link.id == id) seen.same_id = std::move(link);
+        const bool is_other_kind = KindOf(link) != KindOf(wanted);
+        if (link.id == wanted.id) {
+          seen.same_id = std::move(link);
+        } else if (link.damage.ok() && is_other_kind &&
+                   AreOfOnePair(link, wanted)) {
+          seen.conflict = std::move(link);
+        }
         return true;
       });
   if (!status.ok()) return status;
@@ -91,14 +106,30 @@ absl::StatusOr<LinkedVehicles> FindEnds(Storage* storage,
   return LinkedVehicles{*std::move(query), *std::move(matched)};
 }
 
+// The two kinds cannot both be of the same two poses.
+absl::Status Conflict(const GroupRecord& group, const GroupLinkRecord& link) {
+  const PairKind kind = KindOf(link);
+  const PairKind wanted = kind == PairKind::kLoopClosure
+                              ? PairKind::kRejectedCandidate
+                              : PairKind::kLoopClosure;
+  return Error(
+      absl::StatusCode::kFailedPrecondition, "POSE_PAIR_CONFLICT",
+      absl::StrCat("the two poses are the ", WordsOf(kind).noun, " '",
+                   LinkIdOf(link), "' of group '", group.id,
+                   "' and cannot be a ", WordsOf(wanted).noun,
+                   " too; delete that first if it was a mistake"),
+      {{"name", absl::StrCat("groups/", group.id, "/", WordsOf(kind).collection,
+                             "/", LinkIdOf(link))}});
+}
+
 absl::Status CheckStateSpaces(const LinkedVehicles& ends, const NewLink& link) {
   const core::StateSpace space = ends.query.config.drive.state_space;
   if (space == ends.matched.config.drive.state_space) {
     return DecodeLinkMeasurement(link.payload, space).status();
   }
   const FieldPath request;
-  const FieldPath closure = request.Field("loop_closure");
-  const FieldPath matched = closure.Field("matched");
+  const FieldPath pair = request.Field(WordsOf(link.kind).field);
+  const FieldPath matched = pair.Field("matched");
   return InvalidField(kInvalidField, matched.Field("vehicle"),
                       "its state space is another one than that of the query's "
                       "vehicle; a link is between vehicles of one");
@@ -115,11 +146,12 @@ absl::StatusOr<GroupEdit> EditToKeep(const GroupRecord& group,
                                      GroupLinkRecord* link) {
   if (!there.damage.ok()) return there.damage;
   if (!SayTheSame(there, *link)) {
+    const PairWords words = WordsOf(KindOf(*link));
     return Error(
-        absl::StatusCode::kAlreadyExists, "LOOP_CLOSURE_EXISTS",
-        absl::StrCat("loop closure '", link->id, "' of group '", group.id,
-                     "' exists with other poses, or another "
-                     "measurement, note or score"));
+        absl::StatusCode::kAlreadyExists, words.exists,
+        absl::StrCat(words.noun, " '", LinkIdOf(*link), "' of group '",
+                     group.id, "' exists with other poses, or another ",
+                     words.content));
   }
   *link = std::move(there);
   return GroupEdit();
@@ -167,17 +199,20 @@ absl::StatusOr<GroupEdit> EditToAddLink(
   if (!status.ok()) return status;
   status = CheckMembers(&storage->Groups(), group.id, wanted);
   if (!status.ok()) return status;
-  *link = {wanted.id,
-           LinkState::kConfirmed,
+  const bool is_rejected = wanted.kind == PairKind::kRejectedCandidate;
+  *link = {LinkRowId(wanted.kind, wanted.id),
+           is_rejected ? LinkState::kRejected : LinkState::kConfirmed,
            {ends->query.key, wanted.query.sequence},
            {ends->matched.key, wanted.matched.sequence},
            wanted.payload};
   absl::StatusOr<LinksSeen> seen =
-      LookAtLinks(&storage->Groups(), group.id, wanted.id);
+      LookAtLinks(&storage->Groups(), group.id, *link);
   if (!seen.ok()) return seen.status();
   if (seen->same_id) return EditToKeep(group, *std::move(seen->same_id), link);
+  if (seen->conflict) return Conflict(group, *seen->conflict);
   if (seen->count >= limits.links) {
-    return LimitReached(group.id, limits.links, "loop closures");
+    return LimitReached(group.id, limits.links,
+                        "loop closures and rejected candidates");
   }
   status =
       CheckPoseIsStored(storage, codec, ends->query, wanted.query.sequence);
@@ -188,6 +223,17 @@ absl::StatusOr<GroupEdit> EditToAddLink(
   link->payload = LinkContentCreatedAt(
       wanted.payload, std::max(now_ns, seen->last_time_ns + 1));
   return GroupEdit{{AddGroupLink{*link}}};
+}
+
+GroupEdit EditToRemoveLink(PairKind kind, const std::string& id) {
+  return GroupEdit{{RemoveGroupLink{LinkRowId(kind, id)}}, true};
+}
+
+absl::Status RemovalError(PairKind kind, const std::string& id,
+                          const absl::Status& error) {
+  return ReasonOf(error) == WordsOf(PairKind::kLoopClosure).not_found
+             ? NoSuchPair(kind, id)
+             : error;
 }
 
 }  // namespace revisit::server

@@ -5,7 +5,9 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <string>
 
+#include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "server/groups/group_editor.h"
 #include "server/groups/new_link.h"
@@ -33,7 +35,9 @@ absl::StatusOr<GroupEdit> EditToAddMember(GroupStorage* groups,
 // this id that says the same. Errors: VEHICLE_NOT_FOUND; INVALID_ARGUMENT if
 // the vehicles have two state spaces, or the measurement does not fit theirs;
 // MEMBER_NOT_FOUND unless both are members; ALREADY_EXISTS
-// (LOOP_CLOSURE_EXISTS); GROUP_LIMIT; and those of CheckPoseIsStored().
+// (LOOP_CLOSURE_EXISTS or REJECTED_CANDIDATE_EXISTS); FAILED_PRECONDITION
+// (POSE_PAIR_CONFLICT) if the poses are a link of the other kind, and
+// (GROUP_LIMIT), which counts both kinds; and those of CheckPoseIsStored().
 //
 // A pose that its vehicle's owner drops at this very moment may come to be
 // linked: the owner looks at the links before it drops poses (pose_dropper.h),
@@ -44,6 +48,13 @@ absl::StatusOr<GroupEdit> EditToAddLink(
     Storage* storage, const RecordCodec& codec, const GroupRecord& group,
     const NewLink& wanted, std::int64_t now_ns, const GroupLimits& limits,
     GroupLinkRecord* link);
+
+// The edit that removes the link of this kind and id, which the caller knows.
+GroupEdit EditToRemoveLink(PairKind kind, const std::string& id);
+// The error of an edit that removes one, as its caller is told it: NOT_FOUND
+// (LOOP_CLOSURE_NOT_FOUND or REJECTED_CANDIDATE_NOT_FOUND) where there is none.
+absl::Status RemovalError(PairKind kind, const std::string& id,
+                          const absl::Status& error);
 
 }  // namespace revisit::server
 

@@ -15,6 +15,7 @@ constexpr MethodRule kRules[] = {
     {"CreateVehicle", Verb::kWrite, true},
     {"DeleteGroup", Verb::kAdmin},
     {"DeleteInterVehicleLoopClosure", Verb::kWrite},
+    {"DeleteInterVehicleRejectedCandidate", Verb::kWrite},
     {"DeleteLoopClosure", Verb::kWrite},
     {"DeleteRejectedCandidate", Verb::kWrite},
     {"DeleteVehicle", Verb::kAdmin},
@@ -31,12 +32,15 @@ constexpr MethodRule kRules[] = {
     {"ListGroupMembers", Verb::kRead},
     {"ListGroups", Verb::kRead},
     {"ListInterVehicleLoopClosures", Verb::kRead},
+    {"ListInterVehicleRejectedCandidates", Verb::kRead},
     {"ListLoopClosures", Verb::kRead},
     {"ListPoses", Verb::kRead},
     {"ListRecordings", Verb::kRead},
     {"ListRejectedCandidates", Verb::kRead},
     {"ListVehicles", Verb::kRead},
     {"RejectCandidate", Verb::kWrite},
+    // Also requires kRead on both vehicles.
+    {"RejectInterVehicleCandidate", Verb::kWrite},
     {"RemoveGroupMember", Verb::kWrite},
     {"RevisePoses", Verb::kWrite, false, true},
     // StreamPoses also requires kRead where candidates are asked for.

@@ -1,7 +1,6 @@
-// The handlers of calls about the members of groups and the loop closures
-// between them. They are UnaryHandlers (unary_call.h). Two have other names
-// than their methods, which are those of changes in the store
-// (group_records.h).
+// The handlers of calls about the members of groups. They are UnaryHandlers
+// (unary_call.h). Two have other names than their methods, which are those of
+// changes in the store (group_records.h).
 #ifndef REVISIT_SERVER_SERVICE_GROUP_MEMBER_CALLS_H_
 #define REVISIT_SERVER_SERVICE_GROUP_MEMBER_CALLS_H_
 
@@ -31,21 +30,6 @@ absl::Status ListGroupMembers(const ServiceContext& service,
                               const UnaryCallPtr& call,
                               const v1::ListGroupMembersRequest& request,
                               v1::ListGroupMembersResponse* response);
-
-absl::Status AddInterVehicleLoopClosure(
-    const ServiceContext& service, const UnaryCallPtr& call,
-    const v1::AddInterVehicleLoopClosureRequest& request,
-    v1::AddInterVehicleLoopClosureResponse* response);
-
-absl::Status ListInterVehicleLoopClosures(
-    const ServiceContext& service, const UnaryCallPtr& call,
-    const v1::ListInterVehicleLoopClosuresRequest& request,
-    v1::ListInterVehicleLoopClosuresResponse* response);
-
-absl::Status DeleteInterVehicleLoopClosure(
-    const ServiceContext& service, const UnaryCallPtr& call,
-    const v1::DeleteInterVehicleLoopClosureRequest& request,
-    v1::DeleteInterVehicleLoopClosureResponse* response);
 
 }  // namespace revisit::server
 

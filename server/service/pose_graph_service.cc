@@ -8,6 +8,7 @@
 #include "server/service/find_candidates.h"
 #include "server/service/find_contradictions.h"
 #include "server/service/group_calls.h"
+#include "server/service/group_link_calls.h"
 #include "server/service/group_member_calls.h"
 #include "server/service/list_frame_transforms.h"
 #include "server/service/list_poses.h"
@@ -273,6 +274,29 @@ grpc::ServerUnaryReactor* PoseGraphService::DeleteInterVehicleLoopClosure(
     grpc::ByteBuffer* response) {
   return Begin(service_, "DeleteInterVehicleLoopClosure",
                server::DeleteInterVehicleLoopClosure, call, request, response);
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::RejectInterVehicleCandidate(
+    grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+    grpc::ByteBuffer* response) {
+  return Begin(service_, "RejectInterVehicleCandidate",
+               server::RejectInterVehicleCandidate, call, request, response);
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::ListInterVehicleRejectedCandidates(
+    grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+    grpc::ByteBuffer* response) {
+  return Begin(service_, "ListInterVehicleRejectedCandidates",
+               server::ListInterVehicleRejectedCandidates, call, request,
+               response);
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::DeleteInterVehicleRejectedCandidate(
+    grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+    grpc::ByteBuffer* response) {
+  return Begin(service_, "DeleteInterVehicleRejectedCandidate",
+               server::DeleteInterVehicleRejectedCandidate, call, request,
+               response);
 }
 
 grpc::ServerUnaryReactor* PoseGraphService::ListFrameTransforms(

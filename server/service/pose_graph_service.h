@@ -63,6 +63,12 @@ using WithMembers = Service::WithRawCallbackMethod_AddGroupMember<
         Service::WithRawCallbackMethod_RemoveGroupMember<
             Service::WithRawCallbackMethod_ListGroupMembers<Base>>>>;
 template <typename Base>
+using WithGroupRejections =
+    Service::WithRawCallbackMethod_RejectInterVehicleCandidate<
+        Service::WithRawCallbackMethod_ListInterVehicleRejectedCandidates<
+            Service::WithRawCallbackMethod_DeleteInterVehicleRejectedCandidate<
+                Base>>>;
+template <typename Base>
 using WithGroupLinks =
     Service::WithRawCallbackMethod_AddInterVehicleLoopClosure<
         Service::WithRawCallbackMethod_ListInterVehicleLoopClosures<
@@ -71,9 +77,9 @@ using WithGroupLinks =
 template <typename Base>
 using WithOperations = Service::WithRawCallbackMethod_AcceptDataLoss<
     Service::WithRawCallbackMethod_GetServerInfo<Base>>;
-using AllMethods = WithVehicles<
-    WithPoses<WithLoopClosures<WithCandidates<WithChecks<WithGroups<
-        WithMembers<WithGroupLinks<WithOperations<Service::Service>>>>>>>>>;
+using AllMethods = WithVehicles<WithPoses<WithLoopClosures<
+    WithCandidates<WithChecks<WithGroups<WithMembers<WithGroupLinks<
+        WithGroupRejections<WithOperations<Service::Service>>>>>>>>>>;
 
 }  // namespace service_internal
 
@@ -183,6 +189,15 @@ class PoseGraphService final : public service_internal::AllMethods {
       grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
       grpc::ByteBuffer* response) override;
   grpc::ServerUnaryReactor* DeleteInterVehicleLoopClosure(
+      grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+      grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* RejectInterVehicleCandidate(
+      grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+      grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* ListInterVehicleRejectedCandidates(
+      grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+      grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* DeleteInterVehicleRejectedCandidate(
       grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
       grpc::ByteBuffer* response) override;
   grpc::ServerUnaryReactor* ListFrameTransforms(

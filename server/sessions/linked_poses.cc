@@ -18,6 +18,7 @@ absl::StatusOr<std::vector<std::uint64_t>> ReadLinkedPoses(GroupStorage* groups,
     for (const PlacedLink& placed : *links) {
       const GroupLinkRecord& link = placed.link;
       if (!link.damage.ok()) return link.damage;
+      if (link.state == LinkState::kRejected) continue;
       for (const VehiclePose& end : {link.query, link.matched}) {
         if (end.vehicle == vehicle) sequences.push_back(end.sequence);
       }

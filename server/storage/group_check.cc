@@ -72,11 +72,12 @@ void CheckMemberRow(std::int64_t format, std::int64_t checksum,
 void CheckLinkRow(std::int64_t format, std::int64_t checksum,
                   const std::string& group_id, std::int64_t state,
                   GroupLinkRecord* link) {
-  link->state = state == NumberOf(LinkState::kTentative) ? LinkState::kTentative
-                : state == NumberOf(LinkState::kSuspect)
-                    ? LinkState::kSuspect
-                    : LinkState::kConfirmed;
-  const std::string what = "stored loop closure '" + Printable(link->id) +
+  link->state = LinkState::kConfirmed;
+  for (const LinkState known :
+       {LinkState::kTentative, LinkState::kSuspect, LinkState::kRejected}) {
+    if (state == NumberOf(known)) link->state = known;
+  }
+  const std::string what = "stored link '" + Printable(link->id) +
                            "' of group '" + Printable(group_id) + "'";
   link->damage =
       state == NumberOf(link->state)

@@ -59,9 +59,15 @@ inline bool operator==(const VehiclePose& a, const VehiclePose& b) {
 }
 
 // How far a link is believed. The numbers stand for the states in rows.
-enum class LinkState { kConfirmed = 1, kTentative = 2, kSuspect = 3 };
+enum class LinkState {
+  kConfirmed = 1,
+  kTentative = 2,
+  kSuspect = 3,
+  // The two poses are not one place: a rejected candidate.
+  kRejected = 4
+};
 
-// A loop closure between two members of a group.
+// What was found of two poses of two members of a group.
 struct GroupLinkRecord {
   // Unique in its group.
   std::string id;

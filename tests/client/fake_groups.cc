@@ -124,6 +124,12 @@ grpc::Status FakeServer::DeleteGroup(grpc::ServerContext*,
     return status;
   }
   std::lock_guard<std::mutex> lock(mutex_);
+  const Group* const group = GroupOf(request->name());
+  if (group != nullptr && request->expected_revision() != 0 &&
+      request->expected_revision() != group->group.revision()) {
+    return MakeStatus(grpc::StatusCode::ABORTED, "another revision",
+                      {"REVISION_MISMATCH"});
+  }
   return groups_.erase(request->name()) == 1 ? grpc::Status::OK : NoGroup();
 }
 
@@ -238,6 +244,62 @@ grpc::Status FakeServer::ListInterVehicleLoopClosures(
              response->mutable_loop_closures(), response);
   }
   EndPage(request->page_token(), response->mutable_loop_closures(), response);
+  return NextUnaryStatus();
+}
+
+grpc::Status FakeServer::RejectInterVehicleCandidate(
+    grpc::ServerContext*, const v1::RejectInterVehicleCandidateRequest* request,
+    v1::RejectInterVehicleCandidateResponse* response) {
+  {
+    std::lock_guard<std::mutex> lock(mutex_);
+    Group* const group = GroupOf(request->parent());
+    if (group == nullptr) return NoGroup();
+    v1::InterVehicleRejectedCandidate* const made =
+        response->mutable_rejected_candidate();
+    *made = request->rejected_candidate();
+    const std::string id = request->rejected_candidate_id().empty()
+                               ? std::to_string(group->rejected.size() + 1)
+                               : request->rejected_candidate_id();
+    made->set_name(request->parent() + "/rejectedCandidates/" + id);
+    made->set_decided_by("token:eva" + said_);
+    made->set_note(made->note() + said_);
+    group->rejected[made->name()] = *made;
+    group->group.set_revision(group->group.revision() + 1);
+    response->set_revision(group->group.revision());
+    made->set_name(made->name() + said_);
+  }
+  return NextUnaryStatus();
+}
+
+grpc::Status FakeServer::ListInterVehicleRejectedCandidates(
+    grpc::ServerContext*,
+    const v1::ListInterVehicleRejectedCandidatesRequest* request,
+    v1::ListInterVehicleRejectedCandidatesResponse* response) {
+  {
+    std::lock_guard<std::mutex> lock(mutex_);
+    const Group* const group = GroupOf(request->parent());
+    if (group == nullptr) return NoGroup();
+    FillPage(group->rejected, request->page_token(), said_,
+             response->mutable_rejected_candidates(), response);
+  }
+  EndPage(request->page_token(), response->mutable_rejected_candidates(),
+          response);
+  return NextUnaryStatus();
+}
+
+grpc::Status FakeServer::DeleteInterVehicleRejectedCandidate(
+    grpc::ServerContext*,
+    const v1::DeleteInterVehicleRejectedCandidateRequest* request,
+    v1::DeleteInterVehicleRejectedCandidateResponse* response) {
+  NoteDeletion(request->name());
+  {
+    std::lock_guard<std::mutex> lock(mutex_);
+    Group* const group = GroupOf(request->name());
+    if (group == nullptr) return NoGroup();
+    group->rejected.erase(request->name());
+    group->group.set_revision(group->group.revision() + 1);
+    response->set_revision(group->group.revision());
+  }
   return NextUnaryStatus();
 }
 

@@ -248,6 +248,17 @@ class FakeServer final : public v1::PoseGraphService::Service {
   grpc::Status AddInterVehicleLoopClosure(
       grpc::ServerContext*, const v1::AddInterVehicleLoopClosureRequest*,
       v1::AddInterVehicleLoopClosureResponse*) override;
+  grpc::Status RejectInterVehicleCandidate(
+      grpc::ServerContext*, const v1::RejectInterVehicleCandidateRequest*,
+      v1::RejectInterVehicleCandidateResponse*) override;
+  grpc::Status ListInterVehicleRejectedCandidates(
+      grpc::ServerContext*,
+      const v1::ListInterVehicleRejectedCandidatesRequest*,
+      v1::ListInterVehicleRejectedCandidatesResponse*) override;
+  grpc::Status DeleteInterVehicleRejectedCandidate(
+      grpc::ServerContext*,
+      const v1::DeleteInterVehicleRejectedCandidateRequest*,
+      v1::DeleteInterVehicleRejectedCandidateResponse*) override;
   grpc::Status ListFrameTransforms(grpc::ServerContext*,
                                    const v1::ListFrameTransformsRequest*,
                                    v1::ListFrameTransformsResponse*) override;
@@ -288,6 +299,7 @@ class FakeServer final : public v1::PoseGraphService::Service {
     v1::Group group;
     std::map<std::string, v1::GroupMember> members;
     std::map<std::string, v1::InterVehicleLoopClosure> links;
+    std::map<std::string, v1::InterVehicleRejectedCandidate> rejected;
   };
   // Null if there is none of this name, or of what is in it. Mutex must be
   // held.

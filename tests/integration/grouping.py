@@ -82,6 +82,20 @@ def delete_link(stub, name):
         api.DeleteInterVehicleLoopClosureRequest(name=name)).revision
 
 
+def reject(stub, group, query, matched, rejected_id="", note=""):
+    return stub.RejectInterVehicleCandidate(api.RejectInterVehicleCandidateRequest(
+        parent=group, rejected_candidate_id=rejected_id,
+        rejected_candidate=api.InterVehicleRejectedCandidate(
+            query=api.MemberPose(vehicle=query[0], sequence=query[1]),
+            matched=api.MemberPose(vehicle=matched[0], sequence=matched[1]),
+            note=note)))
+
+
+def delete_rejected(stub, name):
+    return stub.DeleteInterVehicleRejectedCandidate(
+        api.DeleteInterVehicleRejectedCandidateRequest(name=name)).revision
+
+
 def _pages(call, request, field):
     while True:
         page = call(request)
@@ -106,6 +120,17 @@ def link_pages(stub, group, page_size=0):
         stub.ListInterVehicleLoopClosures,
         api.ListInterVehicleLoopClosuresRequest(
             parent=group, page_size=page_size), "loop_closures"))
+
+
+def rejected_pages(stub, group, page_size=0):
+    return list(_pages(
+        stub.ListInterVehicleRejectedCandidates,
+        api.ListInterVehicleRejectedCandidatesRequest(
+            parent=group, page_size=page_size), "rejected_candidates"))
+
+
+def rejected_of(stub, group):
+    return [one for page in rejected_pages(stub, group) for one in page]
 
 
 def frame_pages(stub, group, vehicle, page_size=0, **fields):
@@ -136,6 +161,9 @@ def group_requests(group, vehicle, other):
         "DeleteGroup": api.DeleteGroupRequest(name=group),
         "DeleteInterVehicleLoopClosure": api.DeleteInterVehicleLoopClosureRequest(
             name=f"{group}/loopClosures/a"),
+        "DeleteInterVehicleRejectedCandidate":
+            api.DeleteInterVehicleRejectedCandidateRequest(
+                name=f"{group}/rejectedCandidates/a"),
         "GetGroup": api.GetGroupRequest(name=group),
         "ListFrameTransforms": api.ListFrameTransformsRequest(
             parent=group, vehicle=vehicle),
@@ -143,6 +171,12 @@ def group_requests(group, vehicle, other):
         "ListGroups": api.ListGroupsRequest(),
         "ListInterVehicleLoopClosures": api.ListInterVehicleLoopClosuresRequest(
             parent=group),
+        "ListInterVehicleRejectedCandidates":
+            api.ListInterVehicleRejectedCandidatesRequest(parent=group),
+        "RejectInterVehicleCandidate": api.RejectInterVehicleCandidateRequest(
+            parent=group, rejected_candidate=api.InterVehicleRejectedCandidate(
+                query=api.MemberPose(vehicle=vehicle, sequence=1),
+                matched=api.MemberPose(vehicle=other, sequence=1))),
         "RemoveGroupMember": api.RemoveGroupMemberRequest(
             name=f"{group}/members/{name}"),
         "UpdateGroup": api.UpdateGroupRequest(

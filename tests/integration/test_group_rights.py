@@ -7,7 +7,8 @@ import pytest
 from caller_identities import METHODS, POLICY, As, Code
 from grouping import (add_link, add_member, add_vehicle, create_group, delete_group,
                       frame_pages, get_group, group_pages, group_requests, links_of,
-                      members_of, remove_member, update_group, update_member)
+                      members_of, reject, rejected_of, remove_member, update_group,
+                      update_member)
 from identities import replace
 from revisit_server import Server
 from stubs import api
@@ -19,7 +20,7 @@ ABOUT_GROUPS = sorted(group_requests("groups/g", "vehicles/a", "vehicles/b"))
 # Methods that name a group.
 NAMING = sorted(set(ABOUT_GROUPS) - {"ListGroups"})
 READS = {"GetGroup", "ListFrameTransforms", "ListGroupMembers",
-         "ListInterVehicleLoopClosures"}
+         "ListInterVehicleLoopClosures", "ListInterVehicleRejectedCandidates"}
 
 
 def frames_of(stub, group, vehicle, **fields):
@@ -66,7 +67,8 @@ def test_groups_of_others_are_as_if_they_were_not_there(called_by, method):
 
 # One's own that is not there says the same.
 @pytest.mark.parametrize("method", sorted(
-    set(NAMING) - {"CreateGroup", "AddGroupMember", "AddInterVehicleLoopClosure"}))
+    set(NAMING) - {"CreateGroup", "AddGroupMember", "AddInterVehicleLoopClosure",
+                   "RejectInterVehicleCandidate"}))
 def test_own_group_that_is_not_there_is_not_told_from_others(called_by, method):
     failures = [failure_of(lambda group=group: call(called_by("acme"), method, group))
                 for group in ("groups/acme-gone-1", "groups/umbra-gone-1")]
@@ -182,6 +184,13 @@ def test_lists_of_groups_are_granted_beside_those_of_vehicles(site_server):
     assert members_of(planner, seen) == [car, truck]
     assert links_of(planner, seen) == [shown]
     assert len(links_of(acme, seen)) == 2
+    refused = failure_of(lambda: reject(planner, seen, (car, 2), (hidden, 2)))
+    assert refused.reason == "VEHICLE_NOT_FOUND"
+    told = reject(planner, seen, (car, 2), (truck, 2)).rejected_candidate
+    assert told.decided_by == "token:planner"
+    reject(acme, seen, (car, 2), (hidden, 2))
+    assert rejected_of(planner, seen) == [told]
+    assert len(rejected_of(acme, seen)) == 2
     assert frames_of(planner, seen, car) == [car, truck]
     assert frames_of(acme, seen, car) == [car, truck, hidden]
     for vehicle, asked in ((hidden, []), (car, [hidden])):

@@ -8,9 +8,10 @@ import grpc
 import pytest
 
 from grouping import (PLANAR, add_link, add_member, add_vehicle, create_group, datum,
-                      delete_group, delete_link, frame_pages, get_group, group_pages,
-                      link_pages, links_of, member_pages, members_of, remove_member,
-                      update_group, update_member)
+                      delete_group, delete_link, delete_rejected, frame_pages,
+                      get_group, group_pages, link_pages, links_of, member_pages,
+                      members_of, reject, rejected_pages, remove_member, update_group,
+                      update_member)
 from own_postgres import exit_without_postgres, own_shared_store
 from revisit_server import Server
 from stubs import api
@@ -106,11 +107,16 @@ GROUP_CALLS = {
     "AddInterVehicleLoopClosure": ("parent", lambda stub, name: add_link(
         stub, name, ("vehicles/a", 1), ("vehicles/b", 1))),
     "ListInterVehicleLoopClosures": ("parent", link_pages),
+    "RejectInterVehicleCandidate": ("parent", lambda stub, name: reject(
+        stub, name, ("vehicles/a", 1), ("vehicles/b", 1))),
+    "ListInterVehicleRejectedCandidates": ("parent", rejected_pages),
 }
 CALLS_IN_GROUPS = {
     "UpdateGroupMember": ("member.name", "members", update_member),
     "RemoveGroupMember": ("name", "members", remove_member),
     "DeleteInterVehicleLoopClosure": ("name", "loopClosures", delete_link),
+    "DeleteInterVehicleRejectedCandidate": (
+        "name", "rejectedCandidates", delete_rejected),
 }
 
 
@@ -121,7 +127,8 @@ def test_call_refuses_names_that_are_none(call, stub):
         failure = failure_of(lambda: make(stub, name))
         assert failure.reason == "INVALID_RESOURCE_NAME", name
         assert failure.fields == [field], name
-    if call != "AddGroupMember" and call != "AddInterVehicleLoopClosure":
+    if call not in ("AddGroupMember", "AddInterVehicleLoopClosure",
+                    "RejectInterVehicleCandidate"):
         failure = failure_of(lambda: make(stub, "groups/nobodys"))
         assert (failure.code, failure.reason) == (Code.NOT_FOUND, "GROUP_NOT_FOUND")
 

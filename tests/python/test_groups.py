@@ -50,7 +50,9 @@ for _method in ("CreateGroup", "GetGroup", "ListGroups", "UpdateGroup", "DeleteG
                 "AddGroupMember", "UpdateGroupMember", "RemoveGroupMember",
                 "ListGroupMembers", "AddInterVehicleLoopClosure",
                 "ListInterVehicleLoopClosures", "DeleteInterVehicleLoopClosure",
-                "ListFrameTransforms", "FindCandidates"):
+                "RejectInterVehicleCandidate", "ListInterVehicleRejectedCandidates",
+                "DeleteInterVehicleRejectedCandidate", "ListFrameTransforms",
+                "FindCandidates"):
     setattr(FakeGroups, _method, _handler(_method))
 
 
@@ -186,7 +188,9 @@ def test_answers_are_the_messages_that_they_hold(call):
     ("list_groups", (), "groups", v1.Group),
     ("list_group_members", ("depot",), "members", v1.GroupMember),
     ("list_inter_vehicle_loop_closures", ("depot",), "loop_closures",
-     v1.InterVehicleLoopClosure)])
+     v1.InterVehicleLoopClosure),
+    ("list_inter_vehicle_rejected_candidates", ("depot",), "rejected_candidates",
+     v1.InterVehicleRejectedCandidate)])
 def test_lists_have_all_pages_also_behind_an_empty_one(call, method, arguments, field,
                                                        kind):
     rpc = "".join(word.capitalize() for word in method.split("_"))
@@ -204,6 +208,26 @@ def test_lists_have_all_pages_also_behind_an_empty_one(call, method, arguments, 
     assert [item.name for item in listed] == ["a", "b", "c"]
     if arguments:
         assert {request.parent for _, request in fake.asked} == {"groups/depot"}
+
+
+def test_a_candidate_in_another_vehicle_is_rejected_by_its_poses(call):
+    found = v1.Candidate(matched_vehicle="vehicles/b", query=v1.Node(sequence=7),
+                         matched=v1.Node(sequence=3))
+    fake = FakeGroups()
+    with serving(fake) as address:
+        for query, matched in ((("a", 7), ("b", 3)), ("a", found)):
+            call(address, "reject_inter_vehicle_candidate", "depot", query, matched,
+                 note="other hall", rejected_candidate_id="x")
+        with pytest.raises(ValueError, match="reject_candidate"):
+            call(address, "reject_inter_vehicle_candidate", "depot", "a",
+                 v1.Candidate())
+    wanted = v1.RejectInterVehicleCandidateRequest(
+        parent="groups/depot", rejected_candidate_id="x",
+        rejected_candidate=v1.InterVehicleRejectedCandidate(
+            query=v1.MemberPose(vehicle="vehicles/a", sequence=7),
+            matched=v1.MemberPose(vehicle="vehicles/b", sequence=3),
+            note="other hall"))
+    assert [request for _, request in fake.asked] == [wanted, wanted]
 
 
 def frame_pages(*revisions):
@@ -260,7 +284,9 @@ def test_a_group_that_will_not_be_ready_in_time_is_told():
 @pytest.mark.parametrize("method, arguments", [
     ("update_group", ("g",)), ("delete_group", ("g",)),
     ("update_group_member", ("g", "a", None)), ("remove_group_member", ("g", "a")),
-    ("delete_inter_vehicle_loop_closure", ("groups/g/loopClosures/1",))])
+    ("delete_inter_vehicle_loop_closure", ("groups/g/loopClosures/1",)),
+    ("delete_inter_vehicle_rejected_candidate",
+     ("groups/g/rejectedCandidates/1",))])
 def test_what_may_undo_a_change_by_others_is_never_repeated(call, method, arguments):
     fake = FakeGroups(UNAVAILABLE)
     with serving(fake) as address:
@@ -274,12 +300,36 @@ def test_what_may_undo_a_change_by_others_is_never_repeated(call, method, argume
     ("add_group_member", ("g", "a")), ("list_group_members", ("g",)),
     ("add_inter_vehicle_loop_closure", ("g", ("a", 1), ("b", 2))),
     ("list_inter_vehicle_loop_closures", ("g",)),
+    ("reject_inter_vehicle_candidate", ("g", ("a", 1), ("b", 2))),
+    ("list_inter_vehicle_rejected_candidates", ("g",)),
     ("list_frame_transforms", ("g", "a"))])
 def test_what_is_answered_the_same_again_is_repeated(call, method, arguments):
     fake = FakeGroups(UNAVAILABLE)
     with serving(fake) as address:
         call(address, method, *arguments)
     assert len(fake.asked) == 2
+
+
+@pytest.mark.parametrize("method, arguments", [
+    ("update_group", ("g",)), ("delete_group", ("g",)),
+    ("add_group_member", ("g", "a")), ("update_group_member", ("g", "a", None)),
+    ("remove_group_member", ("g", "a")),
+    ("add_inter_vehicle_loop_closure", ("g", ("a", 1), ("b", 2))),
+    ("reject_inter_vehicle_candidate", ("g", ("a", 1), ("b", 2))),
+    ("delete_inter_vehicle_loop_closure", ("groups/g/loopClosures/1",)),
+    ("delete_inter_vehicle_rejected_candidate", ("groups/g/rejectedCandidates/1",))])
+def test_a_change_that_lost_to_others_is_made_again(call, method, arguments):
+    lost = Fault(grpc.StatusCode.ABORTED, reason="REVISION_MISMATCH")
+    fake = FakeGroups(lost, lost)
+    with serving(fake) as address:
+        call(address, method, *arguments)
+    assert len(fake.asked) == 3
+    if method in ("update_group", "delete_group", "update_group_member"):
+        # One for a revision is not.
+        fake = FakeGroups(lost)
+        with serving(fake) as address, pytest.raises(revisit.Aborted):
+            call(address, method, *arguments, expected_revision=3)
+        assert len(fake.asked) == 1
 
 
 def test_what_only_a_group_has_is_refused_without_one(call):

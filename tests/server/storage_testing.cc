@@ -313,6 +313,7 @@ std::string ToText(const GroupLinkRecord& record) {
   }
   text << (record.state == LinkState::kConfirmed   ? ", confirmed: "
            : record.state == LinkState::kTentative ? ", tentative: "
+           : record.state == LinkState::kRejected  ? ", rejected: "
                                                    : ", suspect: ")
        << record.query.sequence << " of " << record.query.vehicle << " at "
        << record.matched.sequence << " of " << record.matched.vehicle << ", '"

@@ -7,6 +7,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "client/answers/names.h"
+#include "client/cli/commands/shared_flags.h"
 #include "client/revisit/printable_text.h"
 #include "nlohmann/json.hpp"
 
@@ -41,7 +42,8 @@ std::optional<std::string> AskAtTerminal(const std::string& question) {
 
 absl::Status RunDeletion(const Client& client, const DeletedKind& kind,
                          const std::vector<std::string>& ids, const Ask& ask,
-                         const Terminal& terminal) {
+                         const Terminal& terminal,
+                         std::uint64_t expected_revision) {
   nlohmann::ordered_json deleted = nlohmann::ordered_json::array();
   for (const std::string& id : ids) {
     const std::string name = kind.name(id);
@@ -50,9 +52,8 @@ absl::Status RunDeletion(const Client& client, const DeletedKind& kind,
         return sure;
       }
     }
-    if (absl::Status removed = kind.remove(client, name); !removed.ok()) {
-      return removed;
-    }
+    const absl::Status removed = kind.remove(client, name, expected_revision);
+    if (!removed.ok()) return removed;
     deleted.push_back(name);
     if (terminal.json()) continue;
     terminal.out << (terminal.names() ? "" : "deleted ") << Printable(name)
@@ -71,16 +72,21 @@ void AddDeletion(const Command& parent, const CommandHelp& help,
   const auto yes = std::make_shared<bool>(false);
   command.AddTexts("ID", "TEXT", ids.get(), "").Required();
   command.AddSwitch("--yes", yes.get(), "Delete without a question");
-  const Check check = [yes]() -> std::string {
+  const auto revision = std::make_shared<std::uint64_t>(0);
+  if (kind.has_revisions) AddExpectedRevision(command, revision.get());
+  const Check check = [yes, ids, revision]() -> std::string {
+    if (*revision != 0 && ids->size() > 1) {
+      return "--expected-revision is that of one group: delete one at a time";
+    }
     return *yes || (isatty(STDIN_FILENO) == 1 && isatty(STDERR_FILENO) == 1)
                ? ""
                : "--yes is required where nobody can be asked: a deletion "
                  "cannot be undone";
   };
-  const Run run = [ids, yes, kind](const Connection& server,
-                                   const Terminal& terminal) {
+  const Run run = [ids, yes, revision, kind](const Connection& server,
+                                             const Terminal& terminal) {
     return RunDeletion(server.client, kind, *ids, *yes ? Ask() : &AskAtTerminal,
-                       terminal);
+                       terminal, *revision);
   };
   command.AlsoPrints({OutputFormat::kName});
   command.Runs(run, check);

@@ -2,6 +2,7 @@
 #ifndef REVISIT_CLIENT_CLI_COMMANDS_DELETION_H_
 #define REVISIT_CLIENT_CLI_COMMANDS_DELETION_H_
 
+#include <cstdint>
 #include <functional>
 #include <optional>
 #include <string>
@@ -25,7 +26,11 @@ struct DeletedKind {
   // Says in the question what else is lost, such as " with its 3 poses".
   absl::StatusOr<std::string> (*content)(const Client& client,
                                          const std::string& name);
-  absl::Status (*remove)(const Client& client, const std::string& name);
+  // `expected_revision`: 0 for any, as it is for a kind without revisions.
+  absl::Status (*remove)(const Client& client, const std::string& name,
+                         std::uint64_t expected_revision);
+  // Whether one may be deleted only at a revision.
+  bool has_revisions = false;
 };
 
 // Deletes each one whose id is typed as the answer of `ask`; without `ask`, all
@@ -33,9 +38,11 @@ struct DeletedKind {
 // id was not typed. Prints their names; as JSON: {"deleted": ["vehicles/..."]}.
 absl::Status RunDeletion(const Client& client, const DeletedKind& kind,
                          const std::vector<std::string>& ids, const Ask& ask,
-                         const Terminal& terminal);
+                         const Terminal& terminal,
+                         std::uint64_t expected_revision = 0);
 
-// Adds such a command, with the flag --yes. It asks at the terminal.
+// Adds such a command, with the flag --yes and, for a kind with revisions,
+// --expected-revision, which goes with one id. It asks at the terminal.
 void AddDeletion(const Command& parent, const CommandHelp& help,
                  const DeletedKind& kind);
 

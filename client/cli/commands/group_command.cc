@@ -184,16 +184,20 @@ absl::StatusOr<std::string> ContentOfGroup(const Client& client,
   const auto found = client.GetGroup(request);
   if (!found.ok()) return found.status();
   return std::string(
-      " with the datums of its members and the loop closures between them");
+      " with the datums of its members, and the loop closures and rejected "
+      "candidates between them");
 }
 
-absl::Status RemoveGroup(const Client& client, const std::string& name) {
+absl::Status RemoveGroup(const Client& client, const std::string& name,
+                         std::uint64_t expected_revision) {
   v1::DeleteGroupRequest request;
   request.set_name(name);
+  request.set_expected_revision(expected_revision);
   return client.DeleteGroup(request).status();
 }
 
-constexpr DeletedKind kGroups = {&GroupName, &ContentOfGroup, &RemoveGroup};
+constexpr DeletedKind kGroups = {&GroupName, &ContentOfGroup, &RemoveGroup,
+                                 true};
 
 }  // namespace
 
@@ -216,7 +220,8 @@ void AddGroupCommand(const Command& program) {
        "be undone.",
        "The vehicles stay. At a terminal, the id of each group has to be typed "
        "again; elsewhere,\n--yes is required.",
-       "  revisit group delete depot --yes"},
+       "  revisit group delete depot --yes\n"
+       "  revisit group delete depot --yes --expected-revision 12"},
       kGroups);
 }
 

@@ -1,4 +1,4 @@
-// revisit link add|list|delete
+// revisit link add|reject|list|delete
 #ifndef REVISIT_CLIENT_CLI_COMMANDS_LINK_COMMAND_H_
 #define REVISIT_CLIENT_CLI_COMMANDS_LINK_COMMAND_H_
 
@@ -37,21 +37,38 @@ struct NewLink {
   std::string id;
 };
 
+struct NewRejection {
+  // Id, or name.
+  std::string group;
+  LinkEnd query;
+  LinkEnd matched;
+  std::string note;
+  // Last part of its name; the server makes one of the poses if it is empty.
+  std::string id;
+};
+
 // Adds a loop closure between two vehicles. Prints its name and the revision of
 // the group; as JSON, the response. REQUIRES: CheckMeasurement().
 absl::Status RunLinkAdd(const Client& client, const NewLink& link,
                         const Terminal& terminal);
+// The same of a rejected candidate.
+absl::Status RunLinkReject(const Client& client, const NewRejection& rejection,
+                           const Terminal& terminal);
 // Lists those of all pages. As JSON: {"loopClosures": [...]}. DATA_LOSS if rows
 // of others are damaged, below those that can be read.
 absl::Status RunLinkList(const Client& client, const std::string& group,
                          const Terminal& terminal);
-// A loop closure between two vehicles.
+// Lists rejected candidates alike; as JSON: {"rejectedCandidates": [...]}.
+absl::Status RunLinkRejections(const Client& client, const std::string& group,
+                               const Terminal& terminal);
+// A loop closure between two vehicles, or a rejected candidate.
 struct LinkReference {
   // Id, or name.
   std::string group;
   // Either its id or resource name, or its two ends in the order in which they
   // were added.
   std::vector<std::string> words;
+  bool is_rejected = false;
 };
 
 // Says what is wrong with the words; empty if nothing is.

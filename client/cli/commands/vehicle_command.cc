@@ -177,7 +177,8 @@ absl::StatusOr<std::string> ContentOfVehicle(const Client& client,
                       vehicle.loop_closure_count(), " loop closures");
 }
 
-absl::Status RemoveVehicle(const Client& client, const std::string& name) {
+absl::Status RemoveVehicle(const Client& client, const std::string& name,
+                           std::uint64_t) {
   v1::DeleteVehicleRequest request;
   request.set_name(name);
   return client.DeleteVehicle(request).status();

@@ -31,7 +31,15 @@ _Pair = TypeVar("_Pair", v1.LoopClosure, v1.RejectedCandidate)
 _NEVER_REPEATED = frozenset({
     "UpdateVehicle", "DeleteVehicle", "DeleteLoopClosure", "DeleteRejectedCandidate",
     "AcceptDataLoss", "UpdateGroup", "DeleteGroup", "UpdateGroupMember",
-    "RemoveGroupMember", "DeleteInterVehicleLoopClosure"})
+    "RemoveGroupMember", "DeleteInterVehicleLoopClosure",
+    "DeleteInterVehicleRejectedCandidate"})
+
+#: Changes of a group, which may be made again if they lost to those of others, unless
+#: they are for one revision.
+_CHANGES_OF_GROUPS = frozenset({
+    "UpdateGroup", "DeleteGroup", "AddGroupMember", "UpdateGroupMember",
+    "RemoveGroupMember", "AddInterVehicleLoopClosure", "DeleteInterVehicleLoopClosure",
+    "RejectInterVehicleCandidate", "DeleteInterVehicleRejectedCandidate"})
 
 #: Poses in a message of RevisePoses.
 _REVISED_POSES = 1000
@@ -80,6 +88,8 @@ class Call(Generic[_T]):
     unpack: Callable[[Any], _T]
     #: Whether doing it twice is the same as doing it once.
     is_safe: bool = True
+    #: Whether it may be made again if it lost to changes of others.
+    takes_any_revision: bool = False
     #: Whether it has the time of exports and revisions.
     is_bulk: bool = False
     #: Whether it answers a stream.
@@ -93,7 +103,9 @@ class Call(Generic[_T]):
 
 def unary(method: str, request: Any,
           unpack: Callable[[Any], _T] = lambda answer: answer) -> Call[_T]:
-    return Call(method, request, unpack, is_safe=method not in _NEVER_REPEATED)
+    return Call(method, request, unpack, is_safe=method not in _NEVER_REPEATED,
+                takes_any_revision=method in _CHANGES_OF_GROUPS
+                and getattr(request, "expected_revision", 0) == 0)
 
 
 class Pages(Generic[_T]):

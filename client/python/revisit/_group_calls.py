@@ -107,8 +107,8 @@ def _end(pose: MemberPose) -> v1.MemberPose:
     return v1.MemberPose(vehicle=vehicle_name(vehicle), sequence=sequence)
 
 
-def _poses_of(query: Union[MemberPose, str], matched: Union[MemberPose, v1.Candidate]
-              ) -> tuple[v1.MemberPose, v1.MemberPose]:
+def _poses_of(query: Union[MemberPose, str], matched: Union[MemberPose, v1.Candidate],
+              own_call: str) -> tuple[v1.MemberPose, v1.MemberPose]:
     """The two poses. The vehicle that asked, and what its search has found, stand for
     them too."""
     if not isinstance(matched, v1.Candidate):
@@ -121,7 +121,7 @@ def _poses_of(query: Union[MemberPose, str], matched: Union[MemberPose, v1.Candi
                         "sequence, expected the vehicle that asked")
     if not matched.matched_vehicle:
         raise ValueError("matched is a candidate in the vehicle's own history: "
-                         "add_loop_closure() takes it")
+                         f"{own_call} takes it")
     return (_end((query, matched.query.sequence)),
             _end((matched.matched_vehicle, matched.matched.sequence)))
 
@@ -131,7 +131,7 @@ def add_inter_vehicle_loop_closure(
         matched: Union[MemberPose, v1.Candidate], relative: Optional[ArrayLike],
         covariance: Optional[ArrayLike], score: Optional[float], note: str,
         loop_closure_id: str) -> Call[v1.AddInterVehicleLoopClosureResponse]:
-    asked, found = _poses_of(query, matched)
+    asked, found = _poses_of(query, matched, "add_loop_closure()")
     made = v1.InterVehicleLoopClosure(query=asked, matched=found, note=note)
     add_findings(made, relative, covariance, score)
     return unary("AddInterVehicleLoopClosure", v1.AddInterVehicleLoopClosureRequest(
@@ -141,6 +141,29 @@ def add_inter_vehicle_loop_closure(
 def list_inter_vehicle_loop_closures(group: str) -> Pages[v1.InterVehicleLoopClosure]:
     return Pages("ListInterVehicleLoopClosures", v1.ListInterVehicleLoopClosuresRequest(
         parent=group_name(group), page_size=PAGE), "loop_closures")
+
+
+def reject_inter_vehicle_candidate(
+        group: str, query: Union[MemberPose, str],
+        matched: Union[MemberPose, v1.Candidate], note: str,
+        rejected_candidate_id: str) -> Call[v1.RejectInterVehicleCandidateResponse]:
+    asked, found = _poses_of(query, matched, "reject_candidate()")
+    return unary("RejectInterVehicleCandidate", v1.RejectInterVehicleCandidateRequest(
+        parent=group_name(group), rejected_candidate_id=rejected_candidate_id,
+        rejected_candidate=v1.InterVehicleRejectedCandidate(
+            query=asked, matched=found, note=note)))
+
+
+def list_inter_vehicle_rejected_candidates(
+        group: str) -> Pages[v1.InterVehicleRejectedCandidate]:
+    return Pages("ListInterVehicleRejectedCandidates",
+                 v1.ListInterVehicleRejectedCandidatesRequest(
+                     parent=group_name(group), page_size=PAGE), "rejected_candidates")
+
+
+def delete_inter_vehicle_rejected_candidate(name: str) -> Call[Any]:
+    return unary("DeleteInterVehicleRejectedCandidate",
+                 v1.DeleteInterVehicleRejectedCandidateRequest(name=name))
 
 
 class _FrameTransforms(Pages[v1.FrameTransform]):

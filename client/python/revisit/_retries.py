@@ -10,14 +10,15 @@ from revisit._calls import Call
 from revisit.backoff import Backoff, BackoffOptions
 from revisit.channel import Caller, Metadata, owner_route
 from revisit.errors import (
-    Error, ResourceExhausted, Unavailable, is_cut, reads_histories, was_elsewhere)
+    Error, ResourceExhausted, Unavailable, is_cut, lost_to_others, reads_histories,
+    was_elsewhere)
 
 
-def _may_repeat(error: Error, is_safe: bool) -> bool:
+def _may_repeat(error: Error, is_safe: bool, takes_any_revision: bool) -> bool:
     if isinstance(error, ResourceExhausted):
         # The server says that it did nothing, and when to send the same again.
         return error.retry_delay is not None
-    return was_elsewhere(error) or (
+    return was_elsewhere(error) or (takes_any_revision and lost_to_others(error)) or (
         is_safe and (isinstance(error, Unavailable) or is_cut(error)))
 
 
@@ -43,6 +44,7 @@ class CallOptions:
         if deadline is None:
             deadline = self.bulk_deadline if call.is_bulk else self.deadline
         return Attempts(caller, self.backoff, self.max_attempts, is_safe=call.is_safe,
+                        takes_any_revision=call.takes_any_revision,
                         seconds=deadline, request_id=request_id)
 
 
@@ -50,13 +52,16 @@ class Attempts:
     """Which attempt is the next, and whether there is one. Not thread-safe."""
 
     def __init__(self, caller: Caller, backoff: BackoffOptions, max_attempts: int, *,
-                 is_safe: bool, seconds: float, request_id: Optional[str]) -> None:
-        """`is_safe`: doing it twice is the same as doing it once. `seconds` are for
-        all attempts and the waits between them."""
+                 is_safe: bool, seconds: float, request_id: Optional[str],
+                 takes_any_revision: bool = False) -> None:
+        """`is_safe`: doing it twice is the same as doing it once. `takes_any_revision`:
+        where others were first, nothing was done, and it may be done again. `seconds`
+        are for all attempts and the waits between them."""
         self._caller = caller
         self._backoff = Backoff(backoff)
         self._max_attempts = max_attempts
         self._is_safe = is_safe
+        self._takes_any_revision = takes_any_revision
         self._deadline = time.monotonic() + seconds
         self._count = 1
         self._route: Metadata = ()
@@ -77,7 +82,8 @@ class Attempts:
             # lease has run out, and the histories of a group may be long.
             self._count -= 1
             self._backoff.reset()
-        if self._count >= self._max_attempts or not _may_repeat(error, self._is_safe):
+        if self._count >= self._max_attempts or not _may_repeat(
+                error, self._is_safe, self._takes_any_revision):
             raise error
         wait = self._backoff.next(error.retry_delay)
         if time.monotonic() + wait >= self._deadline:

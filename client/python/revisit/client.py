@@ -55,7 +55,9 @@ class Client:
     `accept_data_loss()`, and `revise_poses()` without an expected revision. After
     NOT_OWNER and EPOCH_FENCED, which change nothing, every call is made again as
     often as the deadline allows, and goes to the owner if a proxy routes by it; so is a
-    search after GROUP_NOT_READY, while the server reads histories.
+    search after GROUP_NOT_READY, while the server reads histories. A change of a group
+    without an expected revision is made again too where it lost to those of others
+    (REVISION_MISMATCH), which changes nothing.
 
     Each call sends an `x-request-id`, which names it in the server's log; errors
     have it as `request_id`.
@@ -435,6 +437,27 @@ class Client:
     def delete_inter_vehicle_loop_closure(self, name: str) -> None:
         """Removes a loop closure from its group, by its resource name."""
         self._run(_group_calls.delete_inter_vehicle_loop_closure(name))
+
+    def reject_inter_vehicle_candidate(
+            self, group: str, query: Union[MemberPose, str],
+            matched: Union[MemberPose, v1.Candidate], *, note: str = "",
+            rejected_candidate_id: str = ""
+            ) -> v1.RejectInterVehicleCandidateResponse:
+        """Reports that a verifier found two poses of two members not to be one place,
+        named as for `add_inter_vehicle_loop_closure()`: searches in the group do not
+        offer the candidate again."""
+        return self._run(_group_calls.reject_inter_vehicle_candidate(
+            group, query, matched, note, rejected_candidate_id))
+
+    def list_inter_vehicle_rejected_candidates(
+            self, group: str) -> Iterator[v1.InterVehicleRejectedCandidate]:
+        """The rejected candidates of a group of which the caller may read both
+        vehicles, by name."""
+        return self._pages(_group_calls.list_inter_vehicle_rejected_candidates(group))
+
+    def delete_inter_vehicle_rejected_candidate(self, name: str) -> None:
+        """Removes a rejected candidate from its group, by its resource name."""
+        self._run(_group_calls.delete_inter_vehicle_rejected_candidate(name))
 
     def list_frame_transforms(self, group: str, vehicle: str, *,
                               vehicles: Vehicles = None, allow_partial: bool = False

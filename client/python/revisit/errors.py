@@ -262,6 +262,12 @@ def was_elsewhere(error: Error) -> bool:
     return error.reason in ("NOT_OWNER", "EPOCH_FENCED")
 
 
+def lost_to_others(error: Error) -> bool:
+    """Whether a change of a group was not made because others changed it at the same
+    time: where no revision was expected, it may be made again."""
+    return error.reason == "REVISION_MISMATCH"
+
+
 def reads_histories(error: Error) -> bool:
     """Whether a search in a group was not made because the server still reads histories
     of its members: it goes on with that meanwhile."""

@@ -117,7 +117,13 @@ TEST_F(GroupMapTest, LegendNamesVehiclesAndHowWellTheyArePlaced) {
 TEST_F(GroupMapTest, LinksJoinNodesOfTheirVehicles) {
   group_.links = {MadeLink(kTied, 4, kOwn, 15),
                   MadeLink(kTied, 4, "vehicles/hidden", 1)};
-  AddLinks(group_, kOwn, &map_);
+  v1::InterVehicleRejectedCandidate rejected;
+  *rejected.mutable_query() = group_.links[0].query();
+  *rejected.mutable_matched() = group_.links[0].matched();
+  group_.rejections = {rejected};
+  AddPairs(group_, kOwn, &map_);
+  ASSERT_EQ(map_.contents.rejections.size(), 1u);
+  EXPECT_EQ(map_.contents.rejections[0].matched, 34u);
   ASSERT_EQ(map_.contents.closures.size(), 1u);
   EXPECT_EQ(map_.contents.closures[0].query, 13u);
   EXPECT_EQ(map_.contents.closures[0].matched, 34u);

@@ -189,6 +189,10 @@ TEST_F(ClientTest, RepeatsOfTheCallsAboutGroupsThoseThatAnswerTheSameAgain) {
   link.set_parent("groups/depot");
   v1::ListInterVehicleLoopClosuresRequest links;
   links.set_parent("groups/depot");
+  v1::RejectInterVehicleCandidateRequest reject;
+  reject.set_parent("groups/depot");
+  v1::ListInterVehicleRejectedCandidatesRequest rejected;
+  rejected.set_parent("groups/depot");
   v1::ListFrameTransformsRequest frames;
   frames.set_parent("groups/depot");
   const std::vector<std::function<absl::Status()>> repeated = {
@@ -199,6 +203,10 @@ TEST_F(ClientTest, RepeatsOfTheCallsAboutGroupsThoseThatAnswerTheSameAgain) {
       [&] { return client_.ListGroupMembers(members).status(); },
       [&] { return client_.AddInterVehicleLoopClosure(link).status(); },
       [&] { return client_.ListInterVehicleLoopClosures(links).status(); },
+      [&] { return client_.RejectInterVehicleCandidate(reject).status(); },
+      [&] {
+        return client_.ListInterVehicleRejectedCandidates(rejected).status();
+      },
       [&] { return client_.ListFrameTransforms(frames).status(); }};
   for (std::size_t i = 0; i < repeated.size(); ++i) {
     server_.FailUnaryCalls({StoreUnavailable()});
@@ -218,16 +226,40 @@ TEST_F(ClientTest, NeverRepeatsWhatMayUndoAChangeOfAGroupByOthers) {
   member.set_name("groups/depot/members/a");
   v1::DeleteInterVehicleLoopClosureRequest link;
   link.set_name("groups/depot/loopClosures/1");
+  v1::DeleteInterVehicleRejectedCandidateRequest rejected;
+  rejected.set_name("groups/depot/rejectedCandidates/1");
   const std::vector<std::function<absl::Status()>> once = {
       [&] { return client_.UpdateGroup(update).status(); },
       [&] { return client_.UpdateGroupMember(datum).status(); },
       [&] { return client_.RemoveGroupMember(member).status(); },
       [&] { return client_.DeleteInterVehicleLoopClosure(link).status(); },
+      [&] {
+        return client_.DeleteInterVehicleRejectedCandidate(rejected).status();
+      },
       [&] { return client_.DeleteGroup({}).status(); }};
   for (std::size_t i = 0; i < once.size(); ++i) {
     server_.FailUnaryCalls({StoreUnavailable()});
     EXPECT_EQ(once[i]().code(), absl::StatusCode::kUnavailable) << i;
   }
+}
+
+TEST_F(ClientTest, RepeatsAChangeOfAGroupThatLostToOthersUnlessForARevision) {
+  const std::vector<grpc::Status> lost(
+      2, MakeStatus(grpc::StatusCode::ABORTED, "at 7", {"REVISION_MISMATCH"}));
+  v1::CreateGroupRequest create;
+  create.set_group_id("depot");
+  ASSERT_TRUE(client_.CreateGroup(create).ok());
+  v1::RemoveGroupMemberRequest member;
+  member.set_name("groups/depot/members/a");
+  server_.FailUnaryCalls(lost);
+  EXPECT_TRUE(client_.RemoveGroupMember(member).ok());
+  v1::UpdateGroupRequest update;
+  update.mutable_group()->set_name("groups/depot");
+  server_.FailUnaryCalls(lost);
+  EXPECT_TRUE(client_.UpdateGroup(update).ok());
+  update.set_expected_revision(3);
+  server_.FailUnaryCalls({lost[0]});
+  EXPECT_TRUE(absl::IsAborted(client_.UpdateGroup(update).status()));
 }
 
 TEST_F(ClientTest, RetriesNoOtherCode) {

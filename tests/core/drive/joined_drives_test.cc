@@ -163,6 +163,49 @@ TEST(JoinedDrivesTest, OthersAreSeenFromTheLastRecordingOverWhatTiesThem) {
   for (const auto& drive : joined->SeenFromLast(4)) EXPECT_TRUE(drive.empty());
 }
 
+// Two drives exclude what one drive of both, with a rejection of its own, does.
+TEST(JoinedDrivesTest, RejectedPlacesAreNotSoughtAsThoseOfOneDriveAreNot) {
+  const auto unknown = [] {
+    RecordingStart start;
+    start.relation = RecordingRelation::kUnknown;
+    return std::make_shared<const RecordingStart>(start);
+  };
+  const Drive a = DriveOver(0, 100, nullptr);
+  const Drive b = DriveOver(100, 200, unknown());
+  Drive one = DriveOver(0, 100, nullptr);
+  one.Append(RecordingOf(Part(100, 200), unknown(), one.last_sequence()), 2);
+  const NodeIndex first = a.graph().size();
+  one.AddRejection(150, 30, 3);
+  const NodeIndex query = one.graph().NodeAtOrBefore(150) - first;
+  const NodeIndex matched = one.graph().NodeAtOrBefore(30);
+  const JoinedDrives joined({{a.View(1.0)}, {b.View(1.0)}}, {},
+                            {{1, 0, {query, matched, nullptr}}});
+  std::size_t excluding = 0;
+  for (const double separation : {1.0, 25.0}) {
+    for (NodeIndex node = 0; node < b.graph().size(); ++node) {
+      const auto found =
+          joined.NotSought(0, 1, b.graph(), b.recordings(), node, separation);
+      // The first one is that of the query itself.
+      const auto wanted = one.NotSought(first + node, separation);
+      ASSERT_EQ(found.size() + 1, wanted.size()) << node;
+      if (found.empty()) continue;
+      ++excluding;
+      EXPECT_EQ(found[0].first, wanted[1].first);
+      EXPECT_EQ(found[0].last, wanted[1].last);
+    }
+  }
+  EXPECT_GT(excluding, 10u);
+  // From the other side it is the same place.
+  const auto back =
+      joined.NotSought(1, 0, a.graph(), a.recordings(), matched, 1.0);
+  ASSERT_EQ(back.size(), 1u);
+  EXPECT_LE(back[0].first, query);
+  EXPECT_GT(back[0].last, query);
+  EXPECT_TRUE(
+      joined.NotSought(1, 0, a.graph(), a.recordings(), matched + 20, 1.0)
+          .empty());
+}
+
 TEST(JoinedDrivesTest, ALinkTiesAndARevisedLinkTiesOtherwise) {
   const Drive a = DriveOver(0, 300, nullptr);
   const Drive b = DriveOver(0, 300, nullptr);

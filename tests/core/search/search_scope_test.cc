@@ -114,6 +114,43 @@ void ExpectSameBits(const CandidateSet& a, const CandidateSet& b) {
   }
 }
 
+TEST(SearchScopeTest, RejectedPlacesOfAnotherDriveAreNotOffered) {
+  DriveSettings settings;
+  const OneAndMany drives(settings, {1300, 2600, 4300}, ThreeDatums());
+  const Drive& asking = drives.many[2];
+  const SearchScope scope{drives.Joined(), 2, true};
+  const NodeIndex query = LastOf(asking);
+  const CandidateSet before = Answer(asking, query, settings.search, &scope);
+  ASSERT_FALSE(before.candidates.empty());
+  const Candidate best = before.candidates[0];
+  const DriveView& other = scope.drives->view(*best.drive);
+  const auto rejecting = [&](FrameLink pair) {
+    std::vector<JoinedDrive> joined;
+    for (const Drive& drive : drives.many) joined.push_back({drive.View(1.0)});
+    return SearchScope{
+        std::make_shared<const JoinedDrives>(joined, std::vector<FrameLink>(),
+                                             std::vector<FrameLink>{pair}),
+        2, true};
+  };
+  const auto offers = [&](const SearchScope& in) {
+    const CandidateSet found = Answer(asking, query, settings.search, &in);
+    return std::any_of(found.candidates.begin(), found.candidates.end(),
+                       [&](const Candidate& candidate) {
+                         return candidate.drive == best.drive &&
+                                other.graph.MetersApart(candidate.matched,
+                                                        best.matched) <=
+                                    kPlaceRadiusMeters;
+                       });
+  };
+  EXPECT_TRUE(offers(scope));
+  EXPECT_FALSE(
+      offers(rejecting({2, *best.drive, {query, best.matched, nullptr}})));
+  EXPECT_FALSE(
+      offers(rejecting({*best.drive, 2, {best.matched, query, nullptr}})));
+  EXPECT_TRUE(
+      offers(rejecting({2, *best.drive, {query - 50, best.matched, nullptr}})));
+}
+
 // Numbers differ in their last digits, since distances along the path count
 // from another beginning, and the motion of all is added up in another order.
 TEST(SearchScopeTest, DrivesAreSearchedAsTheRecordingsOfOneDriveAre) {

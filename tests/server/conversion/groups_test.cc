@@ -256,6 +256,43 @@ TEST(GroupLinksTest, AreAnsweredAsTheyWereSent) {
       << closure.DebugString();
 }
 
+TEST(GroupLinksTest, RejectedCandidatesAreAnsweredAsTheyWereSent) {
+  auto request = FromText<v1::RejectInterVehicleCandidateRequest>(R"pb(
+    rejected_candidate_id: "gate"
+    rejected_candidate {
+      query { vehicle: "vehicles/truck" sequence: 9 }
+      matched { vehicle: "vehicles/car" sequence: 12 }
+      note: "other hall"
+    }
+  )pb");
+  const auto link = DecodeLink(request, "token:eva");
+  ASSERT_THAT(link, IsOk());
+  EXPECT_EQ(link->id, "gate");
+  EXPECT_EQ(link->kind, PairKind::kRejectedCandidate);
+  v1::InterVehicleRejectedCandidate rejection;
+  ASSERT_THAT(EncodeLink("night", "truck", "car",
+                         {LinkRowId(link->kind, link->id),
+                          LinkState::kRejected,
+                          {1, 9},
+                          {2, 12},
+                          LinkContentCreatedAt(link->payload, 5)},
+                         &rejection),
+              IsOk());
+  v1::InterVehicleRejectedCandidate expected = request.rejected_candidate();
+  expected.set_name("groups/night/rejectedCandidates/gate");
+  expected.set_decided_by("token:eva");
+  expected.mutable_create_time()->set_nanos(5);
+  EXPECT_TRUE(MessageDifferencer::Equals(rejection, expected))
+      << rejection.DebugString();
+  request.set_rejected_candidate_id("NO");
+  request.mutable_rejected_candidate()->set_note(std::string(1025, 'a'));
+  request.mutable_rejected_candidate()->mutable_matched()->set_vehicle(
+      "vehicles/truck");
+  EXPECT_THAT(FieldsOf(DecodeLink(request, "").status()),
+              ElementsAre("rejected_candidate.matched.vehicle",
+                          "rejected_candidate.note", "rejected_candidate_id"));
+}
+
 TEST(GroupLinksTest, IdThatIsLeftOutIsMadeOfThePoses) {
   auto request = FromText<Request>(kRequest);
   request.clear_loop_closure_id();

@@ -122,6 +122,36 @@ TEST_F(JoinGroupTest, DatumsPlaceFrames) {
   EXPECT_EQ(TieTo(2).state, FrameState::kNone);
 }
 
+TEST_F(JoinGroupTest, RejectedCandidatesTieNothingAndAreNotSought) {
+  Add("");
+  Add("");
+  GroupLinkRecord record;
+  record.query = {2, 50};
+  record.matched = {1, 20};
+  group_.rejected.push_back(record);
+  // Nobody has such a pose.
+  record.matched.sequence = 500;
+  group_.rejected.push_back(record);
+  EXPECT_EQ(TieTo(1).state, FrameState::kNone);
+  const auto joined =
+      JoinGroup(std::make_shared<const StoredGroup>(group_), histories_,
+                [](const KnownHistory&, std::uint64_t) {
+                  return std::optional<core::PoseEstimate>();
+                });
+  const core::DriveView& asking = joined->drives->view(0);
+  const auto at = [&](std::uint64_t sequence) {
+    return joined->drives->NotSought(
+        1, 0, asking.graph, asking.recordings,
+        *core::NodeOf(asking.graph, asking.dropped, sequence), 1.0);
+  };
+  ASSERT_EQ(at(20).size(), 1u);
+  const auto& graph = joined->drives->view(1).graph;
+  EXPECT_NEAR(graph.pose(at(20)[0].first).x, 40.0, 2.5);
+  EXPECT_NEAR(graph.pose(at(20)[0].last - 1).x, 60.0, 2.5);
+  EXPECT_EQ(at(28).size(), 1u);
+  EXPECT_TRUE(at(35).empty());
+}
+
 TEST_F(JoinGroupTest, FixesTieFramesWithoutAnyDatum) {
   Add("", 45.0);
   Add("", 45.01);

@@ -9,9 +9,11 @@
 #include "gtest/gtest.h"
 #include "server/base/status.h"
 #include "server/groups/group_reads.h"
+#include "server/groups/link_kind.h"
 #include "server/groups/stored_vehicle.h"
 #include "server/records/group_content.h"
 #include "server/records/proto_record_codec.h"
+#include "server/storage/record_check.h"
 #include "tests/server/error_matchers.h"
 #include "tests/server/memory_storage.h"
 
@@ -210,6 +212,79 @@ TEST_F(GroupEditsTest, LinksAreLimited) {
   EXPECT_EQ(MetadataOf(refused.status(), "limit"), "3");
   EXPECT_THAT(AddLink({"c", {"car", 1}, {"truck", 1}, LinkPayload("")}),
               IsOk());
+}
+
+NewLink Rejection(const std::string& id, const NewLink::Pose& query,
+                  const NewLink::Pose& matched, const std::string& note = "") {
+  return {id, query, matched, LinkPayload(note), PairKind::kRejectedCandidate};
+}
+
+TEST_F(GroupEditsTest, RejectedCandidateIsALinkWithAnIdOfItsOwn) {
+  ASSERT_THAT(AddLink({"l", {"car", 20}, {"truck", 10}, LinkPayload("", 7)}),
+              IsOk());
+  Apply({AddGroupLink{link_}});
+  const NewLink wanted = Rejection("l", {"car", 1}, {"truck", 1}, "other hall");
+  const auto edit = AddLink(wanted, 500);
+  ASSERT_THAT(edit, IsOk());
+  EXPECT_EQ(link_.state, LinkState::kRejected);
+  EXPECT_EQ(KindOf(link_), PairKind::kRejectedCandidate);
+  EXPECT_EQ(LinkIdOf(link_), "l");
+  EXPECT_EQ(TimeOf(link_), 1001);
+  Apply(edit->changes);
+  EXPECT_TRUE(AddLink(wanted)->changes.empty());
+  EXPECT_THAT(AddLink(Rejection("l", {"car", 1}, {"truck", 1})),
+              IsError(StatusCode::kAlreadyExists, "REJECTED_CANDIDATE_EXISTS",
+                      HasSubstr("rejected candidate 'l'")));
+  Apply(EditToRemoveLink(PairKind::kRejectedCandidate, "l").changes);
+  EXPECT_EQ(groups().ListLinks("g", "", 9)->size(), 1u);
+  Apply(EditToRemoveLink(PairKind::kLoopClosure, "l").changes);
+  EXPECT_TRUE(groups().ListLinks("g", "", 9)->empty());
+}
+
+TEST_F(GroupEditsTest, TwoPosesAreNoLinksOfBothKinds) {
+  ASSERT_THAT(AddLink({"l", {"car", 20}, {"truck", 10}, LinkPayload("")}),
+              IsOk());
+  Apply({AddGroupLink{link_}});
+  // Whichever of them asked.
+  for (const auto& wanted : {Rejection("r", {"car", 20}, {"truck", 10}),
+                             Rejection("r", {"truck", 10}, {"car", 20})}) {
+    const auto refused = AddLink(wanted);
+    EXPECT_THAT(refused,
+                IsError(StatusCode::kFailedPrecondition, "POSE_PAIR_CONFLICT",
+                        HasSubstr("loop closure 'l'")));
+    EXPECT_EQ(MetadataOf(refused.status(), "name"), "groups/g/loopClosures/l");
+  }
+  ASSERT_THAT(AddLink(Rejection("r", {"car", 19}, {"truck", 10})), IsOk());
+  Apply({AddGroupLink{link_}});
+  const auto refused =
+      AddLink({"m", {"truck", 10}, {"car", 19}, LinkPayload("")});
+  EXPECT_THAT(refused, IsError(StatusCode::kFailedPrecondition,
+                               "POSE_PAIR_CONFLICT", _));
+  EXPECT_EQ(MetadataOf(refused.status(), "name"),
+            "groups/g/rejectedCandidates/r");
+}
+
+TEST_F(GroupEditsTest, BothKindsShareTheLimit) {
+  for (const char* id : {"a", "~a", "~b"}) {
+    Apply({AddGroupLink{
+        {id, LinkState::kConfirmed, {car_, 2}, {truck_, 2}, LinkPayload("")}}});
+  }
+  EXPECT_THAT(AddLink(Rejection("d", {"car", 1}, {"truck", 1})),
+              IsError(StatusCode::kFailedPrecondition, "GROUP_LIMIT",
+                      HasSubstr("rejected candidates")));
+  EXPECT_THAT(AddLink({"d", {"car", 1}, {"truck", 1}, LinkPayload("")}),
+              IsError(StatusCode::kFailedPrecondition, "GROUP_LIMIT", _));
+}
+
+TEST_F(GroupEditsTest, RemovalSaysWhichKindIsNotThere) {
+  const absl::Status missing = NoSuchPair(PairKind::kLoopClosure, "~x");
+  EXPECT_THAT(RemovalError(PairKind::kRejectedCandidate, "x", missing),
+              IsError(StatusCode::kNotFound, "REJECTED_CANDIDATE_NOT_FOUND",
+                      HasSubstr("'x'")));
+  EXPECT_THAT(RemovalError(PairKind::kLoopClosure, "x", missing),
+              IsError(StatusCode::kNotFound, "LOOP_CLOSURE_NOT_FOUND", _));
+  const absl::Status other = absl::UnavailableError("away");
+  EXPECT_EQ(RemovalError(PairKind::kLoopClosure, "x", other), other);
 }
 
 TEST_F(GroupEditsTest, LinkIsBetweenMembers) {

@@ -59,6 +59,16 @@ TEST_F(LinkedPosesTest, AreTheEndsAtTheVehicleAlone) {
   EXPECT_THAT(*Read(truck_), ElementsAre(7, 8));
 }
 
+TEST_F(LinkedPosesTest, AreNotThoseOfRejectedCandidates) {
+  ASSERT_THAT(
+      groups_.Change(
+          "a",
+          {AddGroupLink{{"x", LinkState::kRejected, {car_, 5}, {truck_, 7}}},
+           AddGroupLink{{"y", LinkState::kSuspect, {car_, 6}, {truck_, 7}}}}),
+      IsOk());
+  EXPECT_THAT(*Read(car_), ElementsAre(6));
+}
+
 TEST_F(LinkedPosesTest, AreReadHoweverManyThereAre) {
   std::vector<std::uint64_t> all;
   for (const char* group : {"a", "b"}) {

@@ -564,7 +564,7 @@ TEST_P(GroupContract, GroupsDoWhatTheModelDoes) {
                 ? pick(keys)
                 : keys[keys.size() - std::min<std::size_t>(2, keys.size())];
         const std::string link = pick(link_ids);
-        const auto state = static_cast<LinkState>(UniformInt(random, 1, 3));
+        const auto state = static_cast<LinkState>(UniformInt(random, 1, 4));
         const auto sequence =
             static_cast<std::uint64_t>(UniformInt(random, 1, 99));
         switch (UniformInt(random, 0, 10)) {

@@ -320,6 +320,21 @@ class Client:
     async def delete_inter_vehicle_loop_closure(self, name: str) -> None:
         await self._run(_group_calls.delete_inter_vehicle_loop_closure(name))
 
+    async def reject_inter_vehicle_candidate(
+            self, group: str, query: Union[MemberPose, str],
+            matched: Union[MemberPose, v1.Candidate], *, note: str = "",
+            rejected_candidate_id: str = ""
+            ) -> v1.RejectInterVehicleCandidateResponse:
+        return await self._run(_group_calls.reject_inter_vehicle_candidate(
+            group, query, matched, note, rejected_candidate_id))
+
+    def list_inter_vehicle_rejected_candidates(
+            self, group: str) -> AsyncIterator[v1.InterVehicleRejectedCandidate]:
+        return self._pages(_group_calls.list_inter_vehicle_rejected_candidates(group))
+
+    async def delete_inter_vehicle_rejected_candidate(self, name: str) -> None:
+        await self._run(_group_calls.delete_inter_vehicle_rejected_candidate(name))
+
     def list_frame_transforms(self, group: str, vehicle: str, *,
                               vehicles: Vehicles = None, allow_partial: bool = False
                               ) -> AsyncIterator[v1.FrameTransform]:

@@ -136,6 +136,18 @@ TEST_F(GroupCommandTest, FramesAreToldOfAllPagesThatFitTogether) {
   EXPECT_EQ(ExitCodeOf(Line({"group", "frames", "depot"})), kExitUsage);
 }
 
+TEST_F(GroupCommandTest, DeletionMayBeForOneRevisionOfOneGroup) {
+  ASSERT_TRUE(Line({"group", "create", "depot"}).ok());
+  EXPECT_EQ(ExitCodeOf(Line({"group", "delete", "depot", "site", "--yes",
+                             "--expected-revision", "3"})),
+            kExitUsage);
+  EXPECT_TRUE(absl::IsAborted(
+      Line({"group", "delete", "depot", "--yes", "--expected-revision", "3"})));
+  EXPECT_TRUE(
+      Line({"group", "delete", "depot", "--yes", "--expected-revision", "1"})
+          .ok());
+}
+
 TEST_F(GroupCommandTest, DeletionAsksForTheIdAndSaysWhatGoes) {
   ASSERT_TRUE(Line({"group", "create", "depot"}).ok());
   std::vector<std::string> questions;
@@ -153,9 +165,9 @@ TEST_F(GroupCommandTest, DeletionAsksForTheIdAndSaysWhatGoes) {
       RunGroupDelete(client_, {"depot"}, answering("depot"), Text()).ok());
   EXPECT_EQ(out_.str(), "deleted groups/depot\n");
   EXPECT_THAT(questions[0],
-              HasSubstr("Deletes groups/depot with the datums of its members "
-                        "and the loop closures between them, which cannot be "
-                        "undone. Type depot to go on: "));
+              HasSubstr("Deletes groups/depot with the datums of its members, "
+                        "and the loop closures and rejected candidates between "
+                        "them, which cannot be undone. Type depot to go on: "));
   EXPECT_EQ(ExitCodeOf(
                 RunGroupDelete(client_, {"depot"}, answering("depot"), Text())),
             69);

@@ -237,6 +237,14 @@ class HostileServerTest : public CommandTest {
          [this](const Terminal& c) {
            return RunLinkAdd(client_, {"g", {"a", 1}, {"b", 2}, {}, ""}, c);
          }},
+        {"link reject",
+         [this](const Terminal& c) {
+           return RunLinkReject(client_, {"g", {"a", 1}, {"b", 2}, "", ""}, c);
+         }},
+        {"link list --rejected",
+         [this](const Terminal& c) {
+           return RunLinkRejections(client_, "g", c);
+         }},
         {"link list",
          [this](const Terminal& c) { return RunLinkList(client_, "g", c); }},
         {"link delete",

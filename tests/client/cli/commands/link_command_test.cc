@@ -90,6 +90,40 @@ TEST_F(LinkCommandTest, MeasurementIsCheckedAsThatOfOneVehicle) {
       kExitUsage);
 }
 
+TEST_F(LinkCommandTest, CandidateIsRejectedListedAndUndone) {
+  ASSERT_TRUE(Line({"link", "reject", "depot", "b@310", "a@1072", "--note",
+                    "another\nhall"})
+                  .ok());
+  EXPECT_EQ(out_.str(),
+            "rejected groups/depot/rejectedCandidates/1, revision 2\n");
+  ASSERT_TRUE(
+      Line({"link", "reject", "depot", "b@4", "a@7", "--id", "x"}).ok());
+  ASSERT_TRUE(
+      Line({"link", "reject", "depot", "b@5", "a@7", "--id", "y"}).ok());
+  ASSERT_TRUE(Line({"link", "list", "depot", "--rejected"}).ok());
+  EXPECT_THAT(out_.str(), ContainsRegex("1 +b@310 +a@1072 +1970[^ ]+ +"
+                                        "token:eva +another hall\n"));
+  ASSERT_TRUE(
+      Line({"link", "list", "depot", "--rejected"}, As(OutputFormat::kName))
+          .ok());
+  EXPECT_EQ(out_.str(),
+            "groups/depot/rejectedCandidates/1\n"
+            "groups/depot/rejectedCandidates/x\n"
+            "groups/depot/rejectedCandidates/y\n");
+  ASSERT_TRUE(Line({"link", "list", "depot"}, As(OutputFormat::kName)).ok());
+  EXPECT_EQ(out_.str(), "");
+  EXPECT_EQ(ExitCodeOf(Line({"link", "delete", "depot", "b@310", "a@1072"})),
+            69);
+  ASSERT_TRUE(
+      Line({"link", "delete", "depot", "b@310", "a@1072", "--rejected"}).ok());
+  EXPECT_EQ(out_.str(),
+            "deleted groups/depot/rejectedCandidates/1, revision 5\n");
+  ASSERT_TRUE(Line({"link", "delete", "depot", "x", "--rejected"}).ok());
+  EXPECT_THAT(server_.Deleted(),
+              ElementsAre("groups/depot/rejectedCandidates/1",
+                          "groups/depot/rejectedCandidates/x"));
+}
+
 TEST_F(LinkCommandTest, ListHasAllPages) {
   AddThree();
   ASSERT_TRUE(Line({"link", "list", "depot"}, As(OutputFormat::kName)).ok());

@@ -150,7 +150,7 @@ class StoreCopyTest : public ::testing::Test {
                                           AddGroupMember{{b, ""}}};
       for (std::uint64_t i = 0; i < 600; ++i) {
         changes.emplace_back(AddGroupLink{{"l" + std::to_string(i),
-                                           static_cast<LinkState>(1 + i % 3),
+                                           static_cast<LinkState>(1 + i % 4),
                                            {a, i + 1},
                                            {b, i + 2},
                                            i % 2 == 0 ? "" : "payload"}});
