@@ -66,7 +66,10 @@ struct SearchOptions {
   bool tell_paths = true;
   // Nodes of the aligned path times nodes of the history times directions (2
   // for kEither) that the search may compare. A search that would have to
-  // compare more finds nothing (EmptyReason::kTooMuchWork).
+  // compare more finds nothing (EmptyReason::kTooMuchWork). The drive's own
+  // history counts whole, since how much of it can matter depends on marks that
+  // may not be known yet; of other drives, each recording that is not passed
+  // over whole (far_histories.h).
   std::int64_t max_comparisons = std::numeric_limits<std::int64_t>::max();
 
   // The options below are for kRelative only.

@@ -18,14 +18,14 @@ NodeIndex FirstNode(std::size_t block) {
 void BlockBounds::Extend(const PoseGraph& graph) {
   while (FirstNode(blocks_.size() + 2) < graph.size()) {
     const std::size_t k = blocks_.size();
-    Add(Measure(graph, k));
+    Add(BoundsOf(graph.block(k), 0, NodeBlock::kSize));
     const std::uint32_t since = k == 0 ? 0 : growing_since_.back();
     growing_since_.push_back(
         Grows(graph, k) ? since : static_cast<std::uint32_t>(k + 1));
   }
 }
 
-void BlockBounds::Add(const Bounds& bounds) {
+void BlockBounds::Add(const NodeBounds& bounds) {
   if (blocks_.size() % kGroup == 0) {
     groups_.push_back(bounds);
   } else {
@@ -42,7 +42,7 @@ void BlockBounds::SaveBlocks(std::size_t first, std::size_t end,
 
 bool BlockBounds::LoadBlocks(std::size_t count, ByteReader* reader) {
   for (std::size_t i = 0; i < count; ++i) {
-    Bounds bounds;
+    NodeBounds bounds;
     if (!reader->Get(&bounds) ||
         !AreFinite(&bounds.least_x, sizeof(bounds) / sizeof(double))) {
       return false;
@@ -79,18 +79,17 @@ std::size_t BlockBounds::FirstGrowing(const PoseGraph& graph, NodeIndex query,
   return std::min<std::size_t>(growing_since_[blocks - 1], blocks);
 }
 
-BlockBounds::Bounds BlockBounds::Measure(const PoseGraph& graph,
-                                         std::size_t k) const {
-  const NodeBlock& block = graph.block(k);
-  Bounds bounds = {};
-  for (std::size_t i = 0; i < NodeBlock::kSize; ++i) {
+NodeBounds BoundsOf(const NodeBlock& block, std::size_t first,
+                    std::size_t last) {
+  NodeBounds bounds = {};
+  for (std::size_t i = first; i < last; ++i) {
     const Pose pose = block.pose(i);
     const Covariance covariance = block.covariance(i);
     const VarianceRange variances = VariancesInAnyDirection(
         covariance(0, 0), covariance(0, 1), covariance(1, 1));
-    const Bounds of_node = {pose.x, pose.x,          pose.y,
-                            pose.y, variances.least, variances.most};
-    if (i == 0) {
+    const NodeBounds of_node = {pose.x, pose.x,          pose.y,
+                                pose.y, variances.least, variances.most};
+    if (i == first) {
       bounds = of_node;
     } else {
       Join(of_node, &bounds);
@@ -99,7 +98,7 @@ BlockBounds::Bounds BlockBounds::Measure(const PoseGraph& graph,
   return bounds;
 }
 
-void BlockBounds::Join(const Bounds& more, Bounds* bounds) {
+void Join(const NodeBounds& more, NodeBounds* bounds) {
   bounds->least_x = std::min(bounds->least_x, more.least_x);
   bounds->most_x = std::max(bounds->most_x, more.most_x);
   bounds->least_y = std::min(bounds->least_y, more.least_y);
@@ -109,7 +108,7 @@ void BlockBounds::Join(const Bounds& more, Bounds* bounds) {
   bounds->most_variance = std::max(bounds->most_variance, more.most_variance);
 }
 
-bool BlockBounds::Near(const Region& region, const Bounds& bounds) {
+bool BlockBounds::Near(const Region& region, const NodeBounds& bounds) {
   const double x =
       std::max({bounds.least_x - region.x, region.x - bounds.most_x, 0.0});
   const double y =

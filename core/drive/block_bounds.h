@@ -15,6 +15,23 @@
 
 namespace revisit::core {
 
+struct NodeBounds {
+  double least_x;
+  double most_x;
+  double least_y;
+  double most_y;
+  // Variances of the positions' errors in any direction.
+  double least_variance;
+  double most_variance;
+};
+
+// The bounds of nodes [first, last) of a block. REQUIRES: it has them, and
+// there is one.
+NodeBounds BoundsOf(const NodeBlock& block, std::size_t first,
+                    std::size_t last);
+// Lets the bounds hold for more nodes too.
+void Join(const NodeBounds& more, NodeBounds* bounds);
+
 // Bound to one graph: pass the same graph to every call. Between calls, nodes
 // may be added to it and loop edges may change.
 class BlockBounds {
@@ -26,6 +43,7 @@ class BlockBounds {
 
   // Bounds are known of blocks [0, size()).
   std::size_t size() const { return blocks_.size(); }
+  const NodeBounds& of_block(std::size_t k) const { return blocks_[k]; }
 
   // The bounds of blocks [first, end) as bytes. REQUIRES: end <= size().
   void SaveBlocks(std::size_t first, std::size_t end, ByteWriter* writer) const;
@@ -59,6 +77,8 @@ class BlockBounds {
     double least_taken = 0.0;
     double most_added = 0.0;
   };
+  // Whether any node with these bounds may lie within the region.
+  static bool Near(const Region& region, const NodeBounds& bounds);
   // Calls visit(k) for the blocks of [first, last) that may hold nodes within
   // the region, in falling order.
   template <typename Visit>
@@ -75,7 +95,7 @@ class BlockBounds {
   }
 
   std::size_t bytes() const {
-    return (blocks_.capacity() + groups_.capacity()) * sizeof(Bounds) +
+    return (blocks_.capacity() + groups_.capacity()) * sizeof(NodeBounds) +
            growing_since_.capacity() * sizeof(std::uint32_t);
   }
 
@@ -84,25 +104,12 @@ class BlockBounds {
   // over all of its blocks at once.
   static constexpr std::size_t kGroup = 16;
 
-  struct Bounds {
-    double least_x;
-    double most_x;
-    double least_y;
-    double most_y;
-    // Variances of the positions' errors in any direction.
-    double least_variance;
-    double most_variance;
-  };
-
-  void Add(const Bounds& bounds);
-  static bool Near(const Region& region, const Bounds& bounds);
-  static void Join(const Bounds& more, Bounds* bounds);
-  Bounds Measure(const PoseGraph& graph, std::size_t k) const;
+  void Add(const NodeBounds& bounds);
   bool Grows(const PoseGraph& graph, std::size_t k) const;
 
   StateSpace state_space_;
-  std::vector<Bounds> blocks_;
-  std::vector<Bounds> groups_;
+  std::vector<NodeBounds> blocks_;
+  std::vector<NodeBounds> groups_;
   // For each block k, the first block from which errors grow in all blocks up
   // to k; k + 1 if they do not grow in k itself.
   std::vector<std::uint32_t> growing_since_;

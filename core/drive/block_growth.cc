@@ -31,6 +31,16 @@ bool NoiseIsAdded(StateSpace space, const PoseGraph& graph, NodeIndex earlier,
                                       : NoiseIsAdded<4>(graph, earlier, later);
 }
 
+namespace {
+
+bool GrowsAt(StateSpace space, const PoseGraph& graph, NodeIndex node,
+             NodeIndex reference) {
+  return NoiseIsAdded(space, graph, std::min(node, reference),
+                      std::max(node, reference));
+}
+
+}  // namespace
+
 std::vector<char> BlocksGrowing(StateSpace space, const PoseGraph& graph,
                                 const NodeRange& nodes, NodeIndex reference) {
   constexpr auto kBlock = static_cast<NodeIndex>(NodeBlock::kSize);
@@ -39,12 +49,25 @@ std::vector<char> BlocksGrowing(StateSpace space, const PoseGraph& graph,
     const auto first = static_cast<NodeIndex>(k) * kBlock;
     bool grows = first >= nodes.first;
     for (NodeIndex j = first; grows && j < first + kBlock; ++j) {
-      grows = NoiseIsAdded(space, graph, std::min(j, reference),
-                           std::max(j, reference));
+      grows = GrowsAt(space, graph, j, reference);
     }
     growing[k] = grows ? 1 : 0;
   }
   return growing;
+}
+
+bool AllGrow(StateSpace space, const PoseGraph& graph, const NodeRange& nodes,
+             NodeIndex reference, const std::vector<char>& growing) {
+  constexpr auto kBlock = static_cast<NodeIndex>(NodeBlock::kSize);
+  for (NodeIndex j = nodes.first; j < nodes.last; ++j) {
+    const auto block = static_cast<std::size_t>(j / kBlock);
+    if (block < growing.size() && growing[block]) {
+      j = (j / kBlock + 1) * kBlock - 1;
+    } else if (j != reference && !GrowsAt(space, graph, j, reference)) {
+      return false;
+    }
+  }
+  return true;
 }
 
 }  // namespace revisit::core

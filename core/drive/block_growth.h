@@ -23,6 +23,11 @@ bool NoiseIsAdded(StateSpace space, const PoseGraph& graph, NodeIndex earlier,
 std::vector<char> BlocksGrowing(StateSpace space, const PoseGraph& graph,
                                 const NodeRange& nodes, NodeIndex reference);
 
+// Whether errors grow so at all nodes of the range but the reference itself.
+// `growing` are its blocks. O(nodes outside these).
+bool AllGrow(StateSpace space, const PoseGraph& graph, const NodeRange& nodes,
+             NodeIndex reference, const std::vector<char>& growing);
+
 }  // namespace revisit::core
 
 #endif  // REVISIT_CORE_DRIVE_BLOCK_GROWTH_H_

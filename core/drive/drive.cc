@@ -669,12 +669,20 @@ FrameRelations Drive::RelationsAt(NodeIndex query) const {
 
 std::shared_ptr<const DriveView> Drive::View(double shown_scale) const {
   const DriveSettings& settings = impl_->settings;
-  return std::make_shared<const DriveView>(DriveView{
-      settings.state_space, settings.node_spacing_meters,
-      CorrelationOf(settings.search),
-      shown_scale * SimilarityOf(settings.search).inflation, impl_->graph,
-      impl_->motion_history, impl_->block_bounds, impl_->recordings,
-      LoopsAt(impl_->graph.size() - 1), impl_->dropped});
+  const PoseGraph& graph = impl_->graph;
+  std::vector<std::vector<NodeExtent>> extents;
+  for (std::size_t k = 0; k < impl_->recordings.size(); ++k) {
+    extents.push_back(ExtentsOf(graph, impl_->block_bounds,
+                                impl_->recordings.NodesOf(k, graph.size())));
+  }
+  MotionHistory motion = impl_->motion_history;
+  motion.Close(graph);
+  return std::make_shared<const DriveView>(
+      DriveView{settings.state_space, settings.node_spacing_meters,
+                CorrelationOf(settings.search),
+                shown_scale * SimilarityOf(settings.search).inflation, graph,
+                std::move(motion), impl_->block_bounds, impl_->recordings,
+                LoopsAt(graph.size() - 1), impl_->dropped, std::move(extents)});
 }
 
 FrameRelations Drive::RelationsWithoutLoops(NodeIndex query) const {

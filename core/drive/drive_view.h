@@ -13,6 +13,7 @@
 #include "core/drive/dropped_stretch.h"
 #include "core/drive/frame_relation.h"
 #include "core/drive/motion_history.h"
+#include "core/drive/node_extent.h"
 #include "core/drive/pose_graph.h"
 #include "core/drive/recordings.h"
 #include "core/geometry/state_space.h"
@@ -36,6 +37,8 @@ struct DriveView {
   std::vector<ConfirmedLoop> loops;
   // The poses that the graph lacks.
   DroppedStretches dropped;
+  // Where its nodes lie, by recording.
+  std::vector<std::vector<NodeExtent>> extents;
 
   // The view must outlive them.
   FrameNodes nodes() const { return {graph, state_space, correlation, scale}; }

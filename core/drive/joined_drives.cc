@@ -1,6 +1,8 @@
 #include "core/drive/joined_drives.h"
 
+#include <algorithm>
 #include <cassert>
+#include <unordered_set>
 #include <utility>
 
 #include "core/drive/rejected_places.h"
@@ -18,14 +20,24 @@ std::size_t CountRecordings(const DriveView& view) {
   return view.recordings.Of(view.graph.size() - 1) + 1;
 }
 
+bool HaveOneStretch(const std::vector<const DriveView*>& views) {
+  return !views.empty() &&
+         std::all_of(views.begin(), views.end(), [&](const DriveView* view) {
+           return view->motion_history.stretch_nodes() ==
+                  views.front()->motion_history.stretch_nodes();
+         });
+}
+
 }  // namespace
 
 JoinedDrives::JoinedDrives(std::vector<JoinedDrive> drives,
                            std::vector<FrameLink> links,
-                           std::vector<FrameLink> rejected)
+                           std::vector<FrameLink> rejected,
+                           const JoinedDrives* before)
     : drives_(std::move(drives)),
       links_(std::move(links)),
       rejected_(std::move(rejected)) {
+  PoolMotion(before);
   for (const JoinedDrive& drive : drives_) {
     const DriveView& view = *drive.view;
     std::optional<std::size_t>& frame = frames_.emplace_back();
@@ -41,6 +53,36 @@ JoinedDrives::JoinedDrives(std::vector<JoinedDrive> drives,
     const auto from = FrameAt(link.query_drive, link.loop.query, seen_from);
     const auto to = FrameAt(link.matched_drive, link.loop.matched, seen_from);
     if (from && to) KindOf(seen_from).relations.AddLink(*from, *to, link.loop);
+  }
+}
+
+// Views that were joined before are pooled, or all if none were.
+void JoinedDrives::PoolMotion(const JoinedDrives* before) {
+  std::unordered_set<const DriveView*> known;
+  for (std::size_t d = 0; before != nullptr && d < before->size(); ++d) {
+    known.insert(&before->view(d));
+  }
+  for (std::size_t first = 0; first < size(); first += kDrivesOfPool) {
+    const std::size_t last = std::min(first + kDrivesOfPool, size());
+    const auto is_joined = [&](std::size_t d) {
+      return d < before->size() && &before->view(d) == &view(d);
+    };
+    std::vector<const DriveView*> views;
+    bool are_known = true;
+    bool are_the_same = before != nullptr;
+    for (std::size_t d = first; d < last; ++d) {
+      are_the_same = are_the_same && is_joined(d);
+      are_known = are_known &&
+                  (before == nullptr || known.find(&view(d)) != known.end());
+      if (view(d).graph.size() > 0) views.push_back(&view(d));
+    }
+    std::shared_ptr<const MotionPool>& pool = pools_.emplace_back();
+    if (are_the_same && before->pools_[pools_.size() - 1] != nullptr &&
+        std::min(first + kDrivesOfPool, before->size()) == last) {
+      pool = before->pools_[pools_.size() - 1];
+    } else if (are_known && HaveOneStretch(views)) {
+      pool = std::make_shared<const MotionPool>(views);
+    }
   }
 }
 

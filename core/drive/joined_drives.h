@@ -17,12 +17,16 @@
 #include "core/drive/drive_view.h"
 #include "core/drive/frame_relation.h"
 #include "core/drive/frame_relations.h"
+#include "core/drive/motion_pool.h"
 #include "core/drive/node_index.h"
 #include "core/drive/node_range.h"
 #include "core/drive/recordings.h"
 #include "core/geometry/recording_start.h"
 
 namespace revisit::core {
+
+// Drives whose motion is pooled.
+inline constexpr std::size_t kDrivesOfPool = 128;
 
 struct JoinedDrive {
   // Never null.
@@ -52,15 +56,25 @@ class JoinedDrives {
  public:
   // Links come in the order in which they were confirmed. Those with a node
   // that a view does not have yet tie nothing, nor do those of two drives of
-  // other state spaces or noise models. REQUIRES: each link is of two drives.
-  // `rejected` have the nodes of two drives that are not one place: these tie
-  // nothing.
+  // other state spaces or noise models. `rejected` have the nodes of two drives
+  // that are not one place: these tie nothing. `before`: what was joined before
+  // this takes its place, or null; it saves time. REQUIRES: each link is of two
+  // drives.
   JoinedDrives(std::vector<JoinedDrive> drives, std::vector<FrameLink> links,
-               std::vector<FrameLink> rejected = {});
+               std::vector<FrameLink> rejected = {},
+               const JoinedDrives* before = nullptr);
 
   std::size_t size() const { return drives_.size(); }
   const DriveView& view(std::size_t drive) const {
     return *drives_[drive].view;
+  }
+
+  // The motion of drives [first, last) as one, last - first being at most
+  // kDrivesOfPool and `first` a multiple of it; null where one of these is
+  // another than it was before, since it will soon be another again, or where
+  // their stretches differ.
+  const MotionPool* PoolFrom(std::size_t first) const {
+    return pools_[first / kDrivesOfPool].get();
   }
 
   // The frames as they are seen from the asking drive at a node: with its own
@@ -111,12 +125,15 @@ class JoinedDrives {
   const Kind* FindKind(const FrameNodes& nodes) const;
   Kind& KindOf(const FrameNodes& nodes);
 
+  void PoolMotion(const JoinedDrives* before);
+
   std::vector<JoinedDrive> drives_;
   std::vector<FrameLink> links_;
   std::vector<FrameLink> rejected_;
   std::vector<Kind> kinds_;
   // By drive; nothing for those without nodes.
   std::vector<std::optional<std::size_t>> frames_;
+  std::vector<std::shared_ptr<const MotionPool>> pools_;
 };
 
 }  // namespace revisit::core

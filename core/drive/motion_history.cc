@@ -45,6 +45,7 @@ MotionHistory::MotionHistory(StateSpace space, const Correlation& correlation,
 }
 
 void MotionHistory::Extend(const PoseGraph& graph) {
+  assert(!is_closed_);
   turn_bins_.Extend(graph);
   heading_bins_.Extend(graph);
   NodeIndex begin = runs_.empty() ? 0 : runs_.back().end;
@@ -54,17 +55,42 @@ void MotionHistory::Extend(const PoseGraph& graph) {
         [&](auto& sums) { AddBlock(graph, correlation_, begin, end, &sums); },
         sums_);
 
-    Run run{end, {}};
-    run.turns.reserve(static_cast<std::size_t>(kBlockNodes));
-    VisitStretches(graph, stretch_nodes(), begin, end,
-                   [&](double turn) { run.turns.push_back(turn); });
-    std::sort(run.turns.begin(), run.turns.end());
-    run.turns.shrink_to_fit();
-    runs_.push_back(std::move(run));
+    runs_.push_back(Measure(graph, begin, end));
     while (runs_.size() >= 2 &&
            Length(runs_.size() - 2) == Length(runs_.size() - 1)) {
       MergeLastTwo();
     }
+  }
+}
+
+MotionHistory::Run MotionHistory::Measure(const PoseGraph& graph,
+                                          NodeIndex begin,
+                                          NodeIndex end) const {
+  Run run{end, {}};
+  run.turns.reserve(static_cast<std::size_t>(end - begin));
+  VisitStretches(graph, stretch_nodes(), begin, end,
+                 [&](double turn) { run.turns.push_back(turn); });
+  std::sort(run.turns.begin(), run.turns.end());
+  run.turns.shrink_to_fit();
+  return run;
+}
+
+void MotionHistory::Close(const PoseGraph& graph) {
+  Extend(graph);
+  is_closed_ = true;
+  const NodeIndex begin = runs_.empty() ? 0 : runs_.back().end;
+  if (begin == graph.size()) return;
+  std::visit(
+      [&](auto& sums) {
+        AddBlock(graph, correlation_, begin, graph.size(), &sums);
+      },
+      sums_);
+  runs_.push_back(Measure(graph, begin, graph.size()));
+}
+
+void MotionHistory::AppendTurns(std::vector<double>* turns) const {
+  for (const Run& run : runs_) {
+    turns->insert(turns->end(), run.turns.begin(), run.turns.end());
   }
 }
 
@@ -84,6 +110,7 @@ MotionSums<D> MotionHistory::Sums(const PoseGraph& graph,
                                   NodeIndex last) const {
   assert(last < graph.size());
   const BlockSums<D>& kept = std::get<BlockSums<D>>(sums_);
+  if (is_closed_ && last + 1 == graph.size()) return kept.back();
   const auto blocks = std::min<NodeIndex>((last + 1) / kBlockNodes,
                                           static_cast<NodeIndex>(kept.size()));
   MotionSums<D> sums;
@@ -93,18 +120,18 @@ MotionSums<D> MotionHistory::Sums(const PoseGraph& graph,
 }
 
 void MotionHistory::Count(const PoseGraph& graph, NodeIndex last,
-                          StretchCounter* counter) const {
+                          StretchCounter* counter, std::int64_t times) const {
   assert(last < graph.size());
-  const auto add = [&](NodeIndex first, NodeIndex end, std::int64_t times) {
+  const auto add = [&](NodeIndex first, NodeIndex end, std::int64_t sign) {
     VisitStretches(graph, stretch_nodes(), first, end,
-                   [&](double turn) { counter->Add(turn, times); });
+                   [&](double turn) { counter->Add(turn, sign * times); });
   };
   const NodeIndex end = last + 1;
   NodeIndex begin = 0;
   for (const Run& run : runs_) {
     if (begin >= end) break;
     if (run.end - end < end - begin) {
-      counter->AddSorted(run.turns);
+      counter->AddSorted(run.turns, times);
       // Takes those beyond the last node back out, if any.
       add(end, run.end, -1);
     } else {

@@ -17,6 +17,7 @@
 #define REVISIT_CORE_DRIVE_MOTION_HISTORY_H_
 
 #include <cstddef>
+#include <cstdint>
 #include <variant>
 #include <vector>
 
@@ -47,16 +48,23 @@ class MotionHistory {
   // Adds the nodes that the graph has grown by. Amortised O(log n) per node.
   void Extend(const PoseGraph& graph);
 
+  // Keeps what is not kept yet of the graph's last nodes, so that queries about
+  // all of it measure none. Nothing can be added or saved any more.
+  void Close(const PoseGraph& graph);
+
   // AddMotion() over nodes [0, last]. O(1 + nodes from the last added block to
   // `last`). REQUIRES: D is the dimension of the state space.
   template <int D>
   MotionSums<D> Sums(const PoseGraph& graph, NodeIndex last) const;
 
-  // Lets the counter count the stretches within nodes [0, last]. O(turns log^2
+  // Lets the counter count the stretches within nodes [0, last], `times` times;
+  // -1 takes them back out. O(turns log^2
   // n), and O(log(turns)) for each node between the last added block and
   // `last`; visits no more nodes than VisitStretches() itself.
-  void Count(const PoseGraph& graph, NodeIndex last,
-             StretchCounter* counter) const;
+  void Count(const PoseGraph& graph, NodeIndex last, StretchCounter* counter,
+             std::int64_t times = 1) const;
+  // Appends the turns of all stretches that are kept, in any order.
+  void AppendTurns(std::vector<double>* turns) const;
 
   // Memory held on the heap.
   std::size_t bytes() const;
@@ -87,6 +95,8 @@ class MotionHistory {
     return runs_[k].end - (k == 0 ? 0 : runs_[k - 1].end);
   }
   void MergeLastTwo();
+  // The sorted turns of the stretches that end at nodes [begin, end).
+  Run Measure(const PoseGraph& graph, NodeIndex begin, NodeIndex end) const;
 
   Correlation correlation_;
   TurnBins turn_bins_;
@@ -96,6 +106,8 @@ class MotionHistory {
   using BlockSums = std::vector<MotionSums<D>>;
   std::variant<BlockSums<3>, BlockSums<4>> sums_;
   std::vector<Run> runs_;
+  // Whether the last entry of all these is of all nodes, not of whole blocks.
+  bool is_closed_ = false;
 };
 
 }  // namespace revisit::core

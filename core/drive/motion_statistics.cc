@@ -83,13 +83,14 @@ void StretchCounter::Add(double turn, std::int64_t times) {
   stretches_ += times;
 }
 
-void StretchCounter::AddSorted(const std::vector<double>& stretches) {
+void StretchCounter::AddSorted(const std::vector<double>& stretches,
+                               std::int64_t times) {
   auto at = stretches.begin();
   for (std::size_t k = 0; k < bounds_.size(); ++k) {
     at = std::lower_bound(at, stretches.end(), bounds_[k]);
-    below_[k] += at - stretches.begin();
+    below_[k] += times * (at - stretches.begin());
   }
-  stretches_ += static_cast<std::int64_t>(stretches.size());
+  stretches_ += times * static_cast<std::int64_t>(stretches.size());
 }
 
 std::vector<double> StretchCounter::Shares() const {

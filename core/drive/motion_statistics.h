@@ -71,7 +71,7 @@ class StretchCounter {
   // Counts a stretch `times` times; -1 takes it back out. O(log(turns)).
   void Add(double turn, std::int64_t times = 1);
   // Counts many stretches, which are sorted. O(turns log(stretches)).
-  void AddSorted(const std::vector<double>& stretches);
+  void AddSorted(const std::vector<double>& stretches, std::int64_t times = 1);
 
   std::vector<double> Shares() const;
 

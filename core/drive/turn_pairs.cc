@@ -57,12 +57,19 @@ bool TurnBins::LoadNodes(std::size_t count, ByteReader* reader) {
   return valid;
 }
 
-TurnPairs::TurnPairs(const TurnBins& bins, NodeIndex last)
-    : counts_(kTurnBins * kTurnBins), later_(kTurnBins) {
+TurnPairs::TurnPairs() : counts_(kTurnBins * kTurnBins), later_(kTurnBins) {}
+
+TurnPairs::TurnPairs(const TurnBins& bins, NodeIndex last) : TurnPairs() {
   Add(bins, last);
 }
 
-void TurnPairs::Add(const TurnBins& bins, NodeIndex last) {
+void TurnPairs::Add(const TurnPairs& more) {
+  for (std::size_t i = 0; i < counts_.size(); ++i)
+    counts_[i] += more.counts_[i];
+  for (std::size_t i = 0; i < later_.size(); ++i) later_[i] += more.later_[i];
+}
+
+void TurnPairs::Add(const TurnBins& bins, NodeIndex last, std::int32_t times) {
   const std::vector<std::uint8_t>& all = bins.bins();
   assert(last < bins.size());
   const auto stretch = static_cast<std::size_t>(bins.stretch_nodes());
@@ -70,8 +77,9 @@ void TurnPairs::Add(const TurnBins& bins, NodeIndex last) {
     // Where the later stretch lies in one segment but the one before it does
     // not, this is no pair.
     if (all[i] == kNoTurn || all[i - stretch] == kNoTurn) continue;
-    ++counts_[static_cast<std::size_t>(all[i] * kTurnBins + all[i - stretch])];
-    ++later_[all[i]];
+    counts_[static_cast<std::size_t>(all[i] * kTurnBins + all[i - stretch])] +=
+        times;
+    later_[all[i]] += times;
   }
 }
 

@@ -53,12 +53,16 @@ class TurnBins {
 // several.
 class TurnPairs {
  public:
+  // There are none yet.
+  TurnPairs();
   // O(last). REQUIRES: the bins have node `last`.
   TurnPairs(const TurnBins& bins, NodeIndex last);
 
-  // Adds those of another graph. REQUIRES: as for the constructor; stretches of
-  // as many nodes.
-  void Add(const TurnBins& bins, NodeIndex last);
+  // Adds those of another graph, or takes them back out if `times` is -1.
+  // REQUIRES: as for the constructor; stretches of as many nodes.
+  void Add(const TurnBins& bins, NodeIndex last, std::int32_t times = 1);
+  // Adds those of other graphs. REQUIRES: stretches of as many nodes.
+  void Add(const TurnPairs& more);
 
   // The share of the stretches before one that turns by `later` which turn by
   // `turn`. `share` is that of all stretches which turn by `turn`, positive:

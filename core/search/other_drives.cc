@@ -1,5 +1,6 @@
 #include "core/search/other_drives.h"
 
+#include <algorithm>
 #include <iterator>
 #include <utility>
 
@@ -8,6 +9,13 @@
 #include "core/search/alignment/relation.h"
 
 namespace revisit::core {
+namespace {
+
+DrivenMotion MotionOf(const DriveView& view) {
+  return {view.graph, &view.motion_history, view.graph.size() - 1};
+}
+
+}  // namespace
 
 void GrowthOfOthers::Enter(const std::shared_ptr<const JoinedDrives>& drives) {
   if (drives == drives_) return;
@@ -24,15 +32,19 @@ void GrowthOfOthers::Enter(const std::shared_ptr<const JoinedDrives>& drives) {
   drives_ = drives;
 }
 
-const std::vector<char>& GrowthOfOthers::Of(const DriveView& view,
-                                            std::size_t recording,
-                                            NodeIndex reference) {
+const GrowthOfOthers::Growth& GrowthOfOthers::Of(const DriveView& view,
+                                                 std::size_t recording,
+                                                 NodeIndex reference) {
   const auto [growing, is_new] =
       growing_.try_emplace({&view, recording, reference});
   if (is_new) {
-    growing->second = BlocksGrowing(
-        view.state_space, view.graph,
-        view.recordings.NodesOf(recording, view.graph.size()), reference);
+    Growth& growth = growing->second;
+    const NodeRange nodes =
+        view.recordings.NodesOf(recording, view.graph.size());
+    growth.blocks =
+        BlocksGrowing(view.state_space, view.graph, nodes, reference);
+    growth.all_grow =
+        AllGrow(view.state_space, view.graph, nodes, reference, growth.blocks);
   }
   return growing->second;
 }
@@ -47,8 +59,35 @@ OtherDrives::OtherDrives(const DriveSettings& settings,
       unsearched_.push_back({d, *reason});
     } else if (view.graph.size() > 0) {
       searched_.push_back(d);
-      motion_.push_back(
-          {view.graph, &view.motion_history, view.graph.size() - 1});
+      motion_.drives.push_back(MotionOf(view));
+    }
+  }
+  PoolMotion();
+}
+
+// Takes the drives of a pool that are not searched back out of it, unless most
+// are not.
+void OtherDrives::PoolMotion() {
+  const JoinedDrives& drives = *scope_.drives;
+  auto next = searched_.begin();
+  for (std::size_t first = 0; first < drives.size(); first += kDrivesOfPool) {
+    const std::size_t last = std::min(first + kDrivesOfPool, drives.size());
+    std::vector<DrivenMotion> searched;
+    std::vector<DrivenMotion> others;
+    for (std::size_t d = first; d < last; ++d) {
+      const DriveView& view = drives.view(d);
+      const bool is_searched = next != searched_.end() && *next == d;
+      if (is_searched) ++next;
+      if (view.graph.size() == 0) continue;
+      (is_searched ? searched : others).push_back(MotionOf(view));
+    }
+    const MotionPool* const pool = drives.PoolFrom(first);
+    if (pool != nullptr && others.size() < searched.size()) {
+      motion_.pooled.push_back({*pool, std::move(others)});
+    } else {
+      for (const DrivenMotion& motion : searched) {
+        motion_.alone.push_back(motion);
+      }
     }
   }
 }
@@ -75,7 +114,7 @@ std::optional<UnsearchedReason> OtherDrives::WhyNot(
 
 NodeIndex OtherDrives::size() const {
   NodeIndex size = 0;
-  for (const DrivenMotion& motion : motion_) size += motion.last + 1;
+  for (const DrivenMotion& motion : motion_.drives) size += motion.last + 1;
   return size;
 }
 
@@ -106,9 +145,13 @@ void OtherDrives::AddHistories(const FrameRelations& frames,
           range.first,
           frame};
       if (const auto& reference = ties[frame].other_node) {
-        history.growing = &growth->Of(view, k, *reference);
+        const GrowthOfOthers::Growth& of_history =
+            growth->Of(view, k, *reference);
+        history.growing = &of_history.blocks;
+        history.all_grow = of_history.all_grow;
       }
       history.drive = d;
+      history.extents = &view.extents[k];
       history.known_scale = view.scale;
       histories->push_back(std::move(history));
     }

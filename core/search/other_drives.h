@@ -27,19 +27,24 @@ namespace revisit::core {
 // view, recording and node; kept from search to search. Not thread-safe.
 class GrowthOfOthers {
  public:
+  struct Growth {
+    // BlocksGrowing() and AllGrow().
+    std::vector<char> blocks;
+    bool all_grow = false;
+  };
+
   // Forgets views that the joined drives do not have.
   void Enter(const std::shared_ptr<const JoinedDrives>& drives);
   // REQUIRES: the view is one of those joined; the node lies in the recording.
-  const std::vector<char>& Of(const DriveView& view, std::size_t recording,
-                              NodeIndex reference);
+  const Growth& Of(const DriveView& view, std::size_t recording,
+                   NodeIndex reference);
   // How many are kept.
   std::size_t size() const { return growing_.size(); }
 
  private:
   // Keeps the views, and so their addresses.
   std::shared_ptr<const JoinedDrives> drives_;
-  std::map<std::tuple<const DriveView*, std::size_t, NodeIndex>,
-           std::vector<char>>
+  std::map<std::tuple<const DriveView*, std::size_t, NodeIndex>, Growth>
       growing_;
 };
 
@@ -56,7 +61,7 @@ class OtherDrives {
   // Nodes that are searched.
   NodeIndex size() const;
   // The motion of the drives that are searched.
-  const std::vector<DrivenMotion>& motion() const { return motion_; }
+  const MotionOfOthers& motion() const { return motion_; }
 
   // Who asks: the frame of the query's recording among those seen, the nodes
   // and recordings of its drive, and the query.
@@ -77,12 +82,14 @@ class OtherDrives {
                                          const DriveSettings& settings,
                                          const SearchOptions& options) const;
 
+  void PoolMotion();
+
   const SearchScope& scope_;
   const double separation_meters_;
   // Indexes of the drives that are searched.
   std::vector<std::size_t> searched_;
   std::vector<UnsearchedDrive> unsearched_;
-  std::vector<DrivenMotion> motion_;
+  MotionOfOthers motion_;
 };
 
 }  // namespace revisit::core

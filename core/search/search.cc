@@ -66,6 +66,7 @@ bool Agree(const PoseGraph& graph, const MarkEvidence& mark,
 
 // Fills in what a search finds that has something to compare.
 absl::Status FindCandidates(const SearchTask& task, CandidateSet* set) {
+  const CandidateSet before = *set;
   set->nodes_considered = task.history_size();
   if (task.prior.belief) set->scale = task.prior.belief->Scale();
   const absl::Status status =
@@ -73,6 +74,13 @@ absl::Status FindCandidates(const SearchTask& task, CandidateSet* set) {
           ? SearchComposite(task, set)
           : SearchRelative(task, set);
   if (!status.ok()) return status;
+  if (set->empty_reason == EmptyReason::kTooMuchWork) {
+    const std::int64_t comparisons = set->comparisons;
+    *set = before;
+    set->comparisons = comparisons;
+    set->empty_reason = EmptyReason::kTooMuchWork;
+    return absl::OkStatus();
+  }
   for (std::size_t i = 0; i < set->candidates.size(); ++i) {
     set->candidates[i].rank = static_cast<int>(i) + 1;
   }
@@ -95,8 +103,9 @@ class Search::Impl {
                                   const ShouldStop& should_stop);
   absl::StatusOr<CandidateSet> AtEnd(const SearchOptions& options,
                                      const ShouldStop& should_stop);
-  std::int64_t ComparisonsAt(NodeIndex query, const SearchOptions& options,
-                             const OtherDrives* others) const;
+  std::int64_t ComparisonsAt(NodeIndex query,
+                             const SearchOptions& options) const;
+  std::int64_t last_comparisons() const { return last_comparisons_; }
   std::optional<MissingMark> FindMissingMark(NodeIndex query,
                                              const SearchOptions& options);
   absl::Status LearnMark(const MissingMark& missing,
@@ -120,6 +129,7 @@ class Search::Impl {
     bool across = false;
     // Nodes of other drives that are.
     NodeIndex others = 0;
+    // Of the drive's own nodes.
     std::int64_t comparisons = 0;
   };
   // The marks that show something at a query.
@@ -186,6 +196,7 @@ class Search::Impl {
   // by recording and reference.
   std::map<std::pair<std::size_t, NodeIndex>, std::vector<char>> growing_;
   GrowthOfOthers growth_of_others_;
+  std::int64_t last_comparisons_ = 0;
 };
 
 Search::Search(const Drive* drive) : impl_(std::make_unique<Impl>(drive)) {}
@@ -213,14 +224,11 @@ absl::StatusOr<CandidateSet> Search::AtEnd(const SearchOptions& options,
 
 std::int64_t Search::ComparisonsAt(NodeIndex query,
                                    const SearchOptions& options) const {
-  return impl_->ComparisonsAt(query, options, nullptr);
+  return impl_->ComparisonsAt(query, options);
 }
 
-std::int64_t Search::ComparisonsAt(NodeIndex query,
-                                   const SearchOptions& options,
-                                   const SearchScope& scope) const {
-  const OtherDrives others(impl_->settings(), options, scope);
-  return impl_->ComparisonsAt(query, options, &others);
+std::int64_t Search::last_comparisons() const {
+  return impl_->last_comparisons();
 }
 
 std::optional<Search::MissingMark> Search::FindMissingMark(
@@ -257,6 +265,7 @@ absl::StatusOr<CandidateSet> Search::Impl::At(NodeIndex query,
   if (others != nullptr) set.unsearched = others->unsearched();
   const Extent extent = ExtentOfSearch(query, options, others);
   set.comparisons = extent.comparisons;
+  last_comparisons_ = extent.empty ? 0 : extent.comparisons;
   if (extent.empty) {
     set.empty_reason = *extent.empty;
     return set;
@@ -277,8 +286,11 @@ absl::StatusOr<CandidateSet> Search::Impl::At(NodeIndex query,
                task.prior.belief ? &*task.prior.belief : nullptr, &task);
   std::vector<AlignmentParts> parts(task.histories.size());
   task.parts = &parts;
+  task.own_comparisons = extent.comparisons;
+  task.comparisons = &last_comparisons_;
   const absl::Status status = FindCandidates(task, &set);
   if (!status.ok()) return status;
+  if (set.empty_reason == EmptyReason::kTooMuchWork) last_comparisons_ = 0;
   // The path of a search of other drives is weighed by their roads too.
   if (extent.others == 0 && task.prior.belief && AlignsAsMarks(options)) {
     RememberIfMark(query, task.histories, should_stop, &parts);
@@ -318,9 +330,9 @@ Search::Impl::Extent Search::Impl::ExtentOf(NodeIndex query,
   extent.comparisons = extent.aligned * own_size;
   if (extent.across || extent.others > 0) {
     extent.aligned_across = AlignedAcross(query, extent.aligned);
-    extent.comparisons +=
-        extent.aligned_across *
-        ((extent.across ? extent.own.first : 0) + extent.others);
+    if (extent.across) {
+      extent.comparisons += extent.aligned_across * extent.own.first;
+    }
   }
   extent.comparisons *=
       static_cast<std::int64_t>(Directions(options.direction).size());
@@ -351,9 +363,8 @@ Search::Impl::MarksBefore Search::Impl::FindMarksBefore(NodeIndex query) const {
 }
 
 std::int64_t Search::Impl::ComparisonsAt(NodeIndex query,
-                                         const SearchOptions& options,
-                                         const OtherDrives* others) const {
-  const Extent extent = ExtentOfSearch(query, options, others);
+                                         const SearchOptions& options) const {
+  const Extent extent = ExtentOfSearch(query, options);
   return extent.empty ? 0 : extent.comparisons;
 }
 

@@ -59,14 +59,14 @@ class Search {
   absl::StatusOr<CandidateSet> AtEnd(const SearchOptions& options,
                                      const ShouldStop& should_stop);
 
-  // CandidateSet::comparisons of the search, before it is made, without those
-  // of marks; 0 if there is nothing to compare, or too much. REQUIRES: as for
-  // At().
+  // CandidateSet::comparisons of the search without a scope, before it is made,
+  // without those of marks; 0 if there is nothing to compare, or too much.
+  // REQUIRES: as for At().
   std::int64_t ComparisonsAt(NodeIndex query,
                              const SearchOptions& options) const;
-  // The same in a scope.
-  std::int64_t ComparisonsAt(NodeIndex query, const SearchOptions& options,
-                             const SearchScope& scope) const;
+  // The comparisons that the last call of At() was about to make, also if it
+  // was told to stop; 0 if there was nothing to compare, or too much.
+  std::int64_t last_comparisons() const;
   // The first mark that is missing for this search, if any. Whoever has all of
   // them learned first can do other work between them; At() learns those that
   // are still missing itself, without counting them, and answers the same.

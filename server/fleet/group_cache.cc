@@ -65,20 +65,23 @@ std::shared_ptr<const JoinedGroup> GroupCache::Joined(
   JoinKey key{group->id, {}};
   for (const auto& history : histories) key.second.push_back(history->key);
   const auto now = Clock::now();
+  std::shared_ptr<const JoinedGroup> before;
   {
     const MutexLock lock(&mutex_);
     const auto found = joins_.find(key);
-    if (found != joins_.end() && found->second.joined->group == group &&
-        found->second.joined->histories == histories) {
+    if (found != joins_.end()) before = found->second.joined;
+    if (before != nullptr && before->group == group &&
+        before->histories == histories) {
       found->second.last_asked = now;
-      return found->second.joined;
+      return before;
     }
   }
-  auto joined =
-      JoinGroup(group, std::move(histories),
-                [this](const KnownHistory& history, std::uint64_t sequence) {
-                  return ReadPose(history, sequence);
-                });
+  auto joined = JoinGroup(
+      group, std::move(histories),
+      [this](const KnownHistory& history, std::uint64_t sequence) {
+        return ReadPose(history, sequence);
+      },
+      before == nullptr ? nullptr : before->drives.get());
   const MutexLock lock(&mutex_);
   joins_[key] = {joined, now};
   return joined;

@@ -150,10 +150,10 @@ class Joining {
 std::shared_ptr<const JoinedGroup> JoinGroup(
     std::shared_ptr<const StoredGroup> group,
     std::vector<std::shared_ptr<const KnownHistory>> histories,
-    const PoseReader& read_pose) {
+    const PoseReader& read_pose, const core::JoinedDrives* before) {
   const Joining joining(*group, histories);
   auto drives = std::make_shared<const core::JoinedDrives>(
-      joining.Drives(), joining.Links(read_pose), joining.Rejected());
+      joining.Drives(), joining.Links(read_pose), joining.Rejected(), before);
   return std::make_shared<const JoinedGroup>(
       JoinedGroup{std::move(group), std::move(histories), std::move(drives)});
 }

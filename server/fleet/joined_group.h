@@ -31,12 +31,13 @@ using PoseReader = std::function<std::optional<core::PoseEstimate>(
     const KnownHistory& history, std::uint64_t sequence)>;
 
 // Links that name a pose which a history does not have, or has dropped, tie
-// nothing, and such rejected candidates exclude nothing. REQUIRES: the
-// histories are of members, by the vehicles' ids.
+// nothing, and such rejected candidates exclude nothing. `before`: the drives
+// that these take the place of, or null. REQUIRES: the histories are of
+// members, by the vehicles' ids.
 std::shared_ptr<const JoinedGroup> JoinGroup(
     std::shared_ptr<const StoredGroup> group,
     std::vector<std::shared_ptr<const KnownHistory>> histories,
-    const PoseReader& read_pose);
+    const PoseReader& read_pose, const core::JoinedDrives* before);
 
 }  // namespace revisit::server
 

@@ -39,12 +39,10 @@ std::optional<absl::StatusOr<core::CandidateSet>> SearchTurns::Work(
     if (!learned.ok()) return learned;
     return std::nullopt;
   }
-  last_steps_ = scope == nullptr
-                    ? view.search->ComparisonsAt(query, options)
-                    : view.search->ComparisonsAt(query, options, *scope);
   absl::StatusOr<core::CandidateSet> found =
       scope == nullptr ? view.search->At(query, options, should_stop)
                        : view.search->At(query, options, *scope, should_stop);
+  last_steps_ = view.search->last_comparisons();
   if (found.ok()) found->comparisons += comparisons_;
   return found;
 }

@@ -133,7 +133,8 @@ struct Limits {
   // Nodes of the aligned path times nodes of the history times directions (2
   // for EITHER), per search: core's SearchOptions::max_comparisons, and `limit`
   // of LIMIT_EXCEEDED. The marks that a FindCandidates call has to search first
-  // count too, but for the first of them (search_turns.h). Range [1000, 1e12].
+  // count too, but for the first of them (search_turns.h). Histories of other
+  // vehicles that are passed over do not. Range [1000, 1e12].
   std::int64_t max_search_steps = 300'000'000;
 
   // Whether vehicles that are created without a word about it store their

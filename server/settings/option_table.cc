@@ -360,7 +360,8 @@ void AddWork(Group add, Limits& l) {
              "Nodes of the aligned path times nodes of the history that one "
              "search may compare, counted twice where it looks in both "
              "directions; the marks that a FindCandidates call has to search "
-             "first count too");
+             "first count too, and of a group the histories that may hold the "
+             "place");
   add.Choice("default-checks", StoredCheckChoices(), &l.store_checks_by_default,
              "Whether vehicles that are created without a word about it "
              "(settings.checks) have the checks that fall due made and stored");

@@ -21,6 +21,7 @@
 #include "core/search/search.h"
 #include "core/settings.h"
 #include "tests/bench/eigen_alignment.h"
+#include "tests/bench/group_bench.h"
 #include "tests/bench/machine_limits.h"
 #include "tests/bench/roads.h"
 
@@ -328,6 +329,7 @@ void RegisterAll() {
         ->Arg(10'000)
         ->Iterations(kStreamedChecks);
   }
+  RegisterGroupSearches();
   Register("AlignLiteral", kMost, AlignLiteral);
   Register("Limit/ReadNodes", kMost, LimitReadNodes);
   benchmark::RegisterBenchmark("BM_Limit/MultiplyAndAdd", LimitMultiplyAndAdd);

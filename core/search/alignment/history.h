@@ -9,6 +9,7 @@
 
 #include "core/drive/block_bounds.h"
 #include "core/drive/heading_bins.h"
+#include "core/drive/node_extent.h"
 #include "core/drive/node_range.h"
 #include "core/drive/pose_graph.h"
 #include "core/search/alignment/relation.h"
@@ -39,6 +40,10 @@ struct History {
   // grow from each node of a block to it, or from it to each node
   // (block_growth.h). By block of the graph; null where it is not known.
   const std::vector<char>* growing = nullptr;
+  // Whether they do so for all nodes of the history but the reference.
+  bool all_grow = false;
+  // Where its nodes lie, or null: then no look is enough to rule out all.
+  const std::vector<NodeExtent>* extents = nullptr;
   // For another drive than the one that asks: its index in the scope of the
   // search, and FrameNodes::known_scale.
   std::optional<std::size_t> drive = std::nullopt;

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "core/drive/motion_history.h"
+#include "core/drive/motion_pool.h"
 #include "core/drive/pose_graph.h"
 
 namespace revisit::core {
@@ -16,6 +17,21 @@ struct DrivenMotion {
   const PoseGraph& graph;
   const MotionHistory* history = nullptr;
   NodeIndex last = 0;
+};
+
+// The motion of other drives.
+struct MotionOfOthers {
+  // Of each of them.
+  std::vector<DrivenMotion> drives;
+  // The turns of the same drives: those of pools, but for some of each, and of
+  // the drives that are in none.
+  struct Pooled {
+    // Outlives this.
+    const MotionPool& pool;
+    std::vector<DrivenMotion> without;
+  };
+  std::vector<Pooled> pooled;
+  std::vector<DrivenMotion> alone;
 };
 
 // All that an answer tells of poses and errors is in the frame of the asking
@@ -33,7 +49,7 @@ struct Query {
   const MotionHistory* motion_history = nullptr;
   // The motion of other drives that are searched too: what their roads and
   // estimators are like counts as that of the graph up to the node does.
-  const std::vector<DrivenMotion>* others = nullptr;
+  const MotionOfOthers* others = nullptr;
 };
 
 }  // namespace revisit::core

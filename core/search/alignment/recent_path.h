@@ -7,6 +7,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <vector>
 
 #include "core/geometry/pose.h"
@@ -41,6 +42,26 @@ class RecentPath {
   double weight_;
   std::vector<WalkStep> steps_;
 };
+
+// Keeps the parts that all alignments of one query with one history share, so
+// that the second alignment need not find them anew. Starts empty; the path may
+// come from an alignment of the same query with another history.
+struct AlignmentParts {
+  // A RecentPath, and all of them.
+  std::shared_ptr<const void> path;
+  std::shared_ptr<const void> parts;
+};
+
+// The path that is kept, which is made if there is none.
+template <int D>
+std::shared_ptr<const RecentPath<D>> PathOf(const Query& query,
+                                            const RelativeModel& model,
+                                            AlignmentParts* kept) {
+  if (kept->path == nullptr) {
+    kept->path = std::make_shared<const RecentPath<D>>(query, model);
+  }
+  return std::static_pointer_cast<const RecentPath<D>>(kept->path);
+}
 
 }  // namespace revisit::core
 

@@ -43,17 +43,11 @@ struct Parts {
     if (kept != nullptr && kept->parts != nullptr) {
       return std::static_pointer_cast<const Parts>(kept->parts);
     }
-    std::shared_ptr<const RecentPath<D>> path;
-    if (kept != nullptr && kept->path != nullptr) {
-      path = std::static_pointer_cast<const RecentPath<D>>(kept->path);
-    } else {
-      path = std::make_shared<const RecentPath<D>>(query, model);
-    }
-    auto parts = std::make_shared<const Parts>(query, history, model, path);
-    if (kept != nullptr) {
-      kept->path = std::move(path);
-      kept->parts = parts;
-    }
+    AlignmentParts none;
+    auto parts = std::make_shared<const Parts>(
+        query, history, model,
+        PathOf<D>(query, model, kept == nullptr ? &none : kept));
+    if (kept != nullptr) kept->parts = parts;
     return parts;
   }
 

@@ -60,6 +60,7 @@
 #include "core/search/alignment/log_similarity.h"
 #include "core/search/alignment/path_walk.h"
 #include "core/search/alignment/query.h"
+#include "core/search/alignment/recent_path.h"
 #include "core/search/alignment/relative_model.h"
 #include "core/search/alignment/scored_ends.h"
 #include "core/search/alignment/viterbi.h"
@@ -67,19 +68,13 @@
 
 namespace revisit::core {
 
-// Keeps the parts that all alignments of one query with one history share, so
-// that the second alignment need not find them anew. Starts empty; the path may
-// come from an alignment of the same query with another history.
-struct AlignmentParts {
-  std::shared_ptr<const void> path;
-  std::shared_ptr<const void> parts;
-};
-
 class RelativeAlignment {
  public:
   // Walks the best path back from an end once more.
   using Trace = std::function<std::vector<PathStep>(Direction, NodeIndex)>;
 
+  // There are no ends.
+  RelativeAlignment() = default;
   // The ends that were found, by IndexOf(direction).
   RelativeAlignment(std::array<MatchedEnds, 2> found, NodeIndex considered,
                     Trace trace)

@@ -21,10 +21,6 @@ namespace {
 // these.
 constexpr double kCancelled = 1e-12;
 
-// 1/2 s^T B^-1 s at most: the standard deviation of B is twice as far as ends
-// are apart in position, and as headings can be in heading.
-constexpr double kAroundSlack = 0.5 * (0.25 + 1.0);
-
 }  // namespace
 
 std::size_t StrideOf(NodeIndex nodes) {

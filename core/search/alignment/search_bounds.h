@@ -23,6 +23,10 @@ namespace revisit::core {
 // Error of a bound due to rounding, nats.
 inline constexpr double kBoundSlack = 1e-6;
 
+// 1/2 s^T B^-1 s at most: the standard deviation of B is twice as far as ends
+// are apart in position, and as headings can be in heading.
+inline constexpr double kAroundSlack = 0.5 * (0.25 + 1.0);
+
 // Where ends are sampled, one of a stride of nodes is looked at. A stride has
 // kLeastStride nodes, and twice as many again and again while a history would
 // have more than kEnoughSamples samples. A block has whole strides.

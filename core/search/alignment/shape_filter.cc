@@ -98,13 +98,35 @@ std::vector<Stretch> Stretches(NodeIndex query, std::int64_t steps,
   return stretches;
 }
 
-// The motion that counts for a query: that of its own graph first.
-std::vector<DrivenMotion> MotionFor(const Query& query) {
-  std::vector<DrivenMotion> motion = {
-      {query.graph, query.motion_history, query.node}};
-  if (query.others == nullptr) return motion;
-  for (const DrivenMotion& other : *query.others) motion.push_back(other);
-  return motion;
+// The motion of the query's own graph.
+DrivenMotion OwnMotion(const Query& query) {
+  return {query.graph, query.motion_history, query.node};
+}
+
+// Whether the pools of others hold stretches of so many nodes.
+bool ArePooled(const MotionOfOthers& others, NodeIndex stretch_nodes) {
+  return std::all_of(others.pooled.begin(), others.pooled.end(),
+                     [&](const MotionOfOthers::Pooled& pooled) {
+                       return pooled.pool.stretch_nodes() == stretch_nodes;
+                     });
+}
+
+// Adds the turns of a query's own motion and of all others that count for it:
+// calls add(pool) for pools, and add(motion, times) for drives.
+template <typename Add>
+void AddTurns(const Query& query, NodeIndex stretch_nodes, const Add& add) {
+  add(OwnMotion(query), 1);
+  if (query.others == nullptr) return;
+  const MotionOfOthers& others = *query.others;
+  if (!ArePooled(others, stretch_nodes)) {
+    for (const DrivenMotion& motion : others.drives) add(motion, 1);
+    return;
+  }
+  for (const MotionOfOthers::Pooled& pooled : others.pooled) {
+    add(pooled.pool);
+    for (const DrivenMotion& motion : pooled.without) add(motion, -1);
+  }
+  for (const DrivenMotion& motion : others.alone) add(motion, 1);
 }
 
 template <int D>
@@ -120,32 +142,44 @@ MotionSums<D> SumsOf(const DrivenMotion& motion,
 }
 
 template <int D>
-MotionStatistics<D> MeasureAll(const std::vector<DrivenMotion>& all,
+MotionStatistics<D> MeasureAll(const Query& query,
                                const Correlation& correlation) {
-  MotionSums<D> sums = SumsOf<D>(all.front(), correlation);
-  for (std::size_t i = 1; i < all.size(); ++i) {
-    const MotionSums<D> more = SumsOf<D>(all[i], correlation);
-    sums.steps += more.steps;
-    sums.sum += more.sum;
+  MotionSums<D> sums = SumsOf<D>(OwnMotion(query), correlation);
+  if (query.others != nullptr) {
+    for (const DrivenMotion& other : query.others->drives) {
+      const MotionSums<D> more = SumsOf<D>(other, correlation);
+      sums.steps += more.steps;
+      sums.sum += more.sum;
+    }
   }
   return MeanMotion<D>(correlation, sums);
 }
 
+// Lets a counter count the stretches of a drive, or those of a pool.
+struct CountStretches {
+  void operator()(const MotionPool& pool) const {
+    counter.AddSorted(pool.turns());
+  }
+  void operator()(const DrivenMotion& motion, int times) const {
+    if (motion.history != nullptr &&
+        motion.history->stretch_nodes() == stretch_nodes) {
+      motion.history->Count(motion.graph, motion.last, &counter, times);
+    } else {
+      VisitStretches(motion.graph, stretch_nodes, 0, motion.last + 1,
+                     [&](double turn) { counter.Add(turn, times); });
+    }
+  }
+
+  NodeIndex stretch_nodes;
+  StretchCounter& counter;
+};
+
 // The shares of all stretches that turn so.
-std::vector<double> SharesOf(const std::vector<DrivenMotion>& all,
-                             NodeIndex stretch_nodes,
+std::vector<double> SharesOf(const Query& query, NodeIndex stretch_nodes,
                              const std::vector<double>& turns,
                              double tolerance_radians) {
   StretchCounter counter(turns, tolerance_radians);
-  for (const DrivenMotion& motion : all) {
-    if (motion.history != nullptr &&
-        motion.history->stretch_nodes() == stretch_nodes) {
-      motion.history->Count(motion.graph, motion.last, &counter);
-    } else {
-      VisitStretches(motion.graph, stretch_nodes, 0, motion.last + 1,
-                     [&](double turn) { counter.Add(turn); });
-    }
-  }
+  AddTurns(query, stretch_nodes, CountStretches{stretch_nodes, counter});
   return counter.Shares();
 }
 
@@ -170,22 +204,28 @@ class BinsOf {
   TurnBins made_;
 };
 
-TurnPairs PairsOf(const std::vector<DrivenMotion>& all,
-                  NodeIndex stretch_nodes) {
-  TurnPairs pairs(*BinsOf(all.front(), stretch_nodes), all.front().last);
-  for (std::size_t i = 1; i < all.size(); ++i) {
-    pairs.Add(*BinsOf(all[i], stretch_nodes), all[i].last);
+// Adds the pairs of a drive, or of a pool.
+struct AddPairs {
+  void operator()(const MotionPool& pool) const { pairs.Add(pool.pairs()); }
+  void operator()(const DrivenMotion& motion, int times) const {
+    pairs.Add(*BinsOf(motion, stretch_nodes), motion.last, times);
   }
+
+  NodeIndex stretch_nodes;
+  TurnPairs& pairs;
+};
+
+TurnPairs PairsOf(const Query& query, NodeIndex stretch_nodes) {
+  TurnPairs pairs;
+  AddTurns(query, stretch_nodes, AddPairs{stretch_nodes, pairs});
   return pairs;
 }
 
 // For each step, -ln of the probability that another road turns as the path
 // does around it, given how that road turns right after; where headings jitter,
 // not given that, since bins are too narrow for such turns.
-std::vector<double> Surprises(const Query& query,
-                              const std::vector<DrivenMotion>& all,
-                              NodeIndex stretch_nodes, double tolerance_radians,
-                              bool jitter) {
+std::vector<double> Surprises(const Query& query, NodeIndex stretch_nodes,
+                              double tolerance_radians, bool jitter) {
   const std::vector<Stretch> stretches =
       Stretches(query.node, query.steps, stretch_nodes);
   std::vector<double> turns;
@@ -194,9 +234,9 @@ std::vector<double> Surprises(const Query& query,
     turns.push_back(Turn(query.graph, stretch));
   }
   std::vector<double> shares =
-      SharesOf(all, stretch_nodes, turns, tolerance_radians);
+      SharesOf(query, stretch_nodes, turns, tolerance_radians);
   if (!jitter) {
-    const TurnPairs pairs = PairsOf(all, stretch_nodes);
+    const TurnPairs pairs = PairsOf(query, stretch_nodes);
     for (std::size_t t = 0; t < shares.size(); ++t) {
       const Stretch after{stretches[t].last, stretches[t].last + stretch_nodes};
       if (after.last > query.node) continue;
@@ -221,8 +261,7 @@ ShapeFilter<D>::ShapeFilter(const Query& query, const Correlation& correlation,
   const PoseGraph& graph = query.graph;
   const std::int64_t steps = query.steps;
   assert(1 <= steps && steps <= query.node + 1);
-  const std::vector<DrivenMotion> all = MotionFor(query);
-  const MotionStatistics<D> motion = MeasureAll<D>(all, correlation);
+  const MotionStatistics<D> motion = MeasureAll<D>(query, correlation);
   // Both passes drift: twice the noise of one.
   const double claimed = 2.0 * inflation * inflation;
   StateMatrix<D> noise = claimed * motion.drift;
@@ -236,7 +275,7 @@ ShapeFilter<D>::ShapeFilter(const Query& query, const Correlation& correlation,
 
   const double weight = ShapeWeight(model, spacing_meters);
   const std::vector<double> surprises = Surprises(
-      query, all, StretchNodes(model, spacing_meters, steps),
+      query, StretchNodes(model, spacing_meters, steps),
       std::sqrt(2.0 * (tolerance(D - 1, D - 1) + jitter(D - 1, D - 1))),
       jitter(D - 1, D - 1) > 0.0);
 

@@ -83,7 +83,7 @@ absl::StatusOr<MarkEvidence> SearchMark(const SearchTask& task) {
   OddsByScale near;
   double best = kImpossible;
   const bool finished = VisitAlignments(
-      task, model, ModelAcross(model),
+      task, model, ModelAcross(model), PassedOver(),
       [&](const History& history, const RelativeAlignment& alignment) {
         for (const Direction direction : Directions(task.options.direction)) {
           const std::size_t ends = alignment.ends(direction).size();

@@ -3,12 +3,14 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <cstdint>
 #include <optional>
 #include <utility>
 #include <vector>
 
 #include "core/drive/pose_graph.h"
 #include "core/noise/similarity_model.h"
+#include "core/search/alignment/far_histories.h"
 #include "core/search/alignment/relative.h"
 #include "core/search/candidates/gate.h"
 #include "core/search/candidates/posterior.h"
@@ -40,9 +42,16 @@ class RelativeSearch {
                                        1e-3 * options_.acceptance_probability)
                             : 0.0),
         model_(ModelOf(task, pruned_share_)),
-        across_(ModelAcross(model_)) {}
+        across_(ModelAcross(model_)),
+        passed_over_(FindFar(task, across_)) {}
 
   absl::Status Run(CandidateSet* set) {
+    set->comparisons = Comparisons();
+    if (task_.comparisons != nullptr) *task_.comparisons = set->comparisons;
+    if (set->comparisons > options_.max_comparisons) {
+      set->empty_reason = EmptyReason::kTooMuchWork;
+      return absl::OkStatus();
+    }
     if (!Align()) return StoppedError();
     set->nodes_considered = 0;
     for (const RelativeAlignment& alignment : alignments_) {
@@ -83,10 +92,22 @@ class RelativeSearch {
   }
 
  private:
+  // Those of histories that are passed over do not count.
+  std::int64_t Comparisons() const {
+    NodeIndex nodes = 0;
+    for (std::size_t h = 0; h < task_.histories.size(); ++h) {
+      const History& history = task_.histories[h];
+      if (history.drive && !passed_over_.Has(h)) nodes += history.size();
+    }
+    return task_.own_comparisons +
+           nodes * task_.across.steps *
+               static_cast<std::int64_t>(Directions(options_.direction).size());
+  }
+
   // Aligns the query with one history after the other; alignments do not depend
   // on each other. False if told to stop.
   bool Align() {
-    return VisitAlignments(task_, model_, across_,
+    return VisitAlignments(task_, model_, across_, passed_over_,
                            [this](const History&, RelativeAlignment found) {
                              alignments_.push_back(std::move(found));
                            });
@@ -238,6 +259,7 @@ class RelativeSearch {
   const RelativeModel model_;
   // The same for other recordings.
   const RelativeModel across_;
+  const PassedOver passed_over_;
   // One for each history.
   std::vector<RelativeAlignment> alignments_;
 };
@@ -277,13 +299,32 @@ RelativeModel ModelAcross(const RelativeModel& model) {
   return across;
 }
 
-bool VisitAlignments(
-    const SearchTask& task, const RelativeModel& model,
-    const RelativeModel& across,
-    const std::function<void(const History&, RelativeAlignment)>& visit) {
-  std::shared_ptr<const void> path;
+PassedOver FindFar(const SearchTask& task, const RelativeModel& across) {
+  PassedOver passed_over;
+  std::optional<FarHistories> far;
   for (std::size_t h = 0; h < task.histories.size(); ++h) {
     const History& history = task.histories[h];
+    if (history.extents == nullptr) continue;
+    if (!far) {
+      far.emplace(task.QueryIn(history), across, &passed_over.path);
+      passed_over.are_far.resize(task.histories.size());
+    }
+    passed_over.are_far[h] = far->Has(history) ? 1 : 0;
+  }
+  return passed_over;
+}
+
+bool VisitAlignments(
+    const SearchTask& task, const RelativeModel& model,
+    const RelativeModel& across, const PassedOver& passed_over,
+    const std::function<void(const History&, RelativeAlignment)>& visit) {
+  std::shared_ptr<const void> path = passed_over.path.path;
+  for (std::size_t h = 0; h < task.histories.size(); ++h) {
+    const History& history = task.histories[h];
+    if (passed_over.Has(h)) {
+      visit(history, RelativeAlignment());
+      continue;
+    }
     AlignmentParts own_parts;
     AlignmentParts& parts =
         task.parts == nullptr ? own_parts : (*task.parts)[h];

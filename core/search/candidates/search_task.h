@@ -2,6 +2,7 @@
 #ifndef REVISIT_CORE_SEARCH_CANDIDATES_SEARCH_TASK_H_
 #define REVISIT_CORE_SEARCH_CANDIDATES_SEARCH_TASK_H_
 
+#include <cstdint>
 #include <memory>
 #include <optional>
 #include <vector>
@@ -58,6 +59,10 @@ struct SearchTask {
   // The parts of alignments of the same query with each of the histories, with
   // the same options, or null.
   std::vector<AlignmentParts>* parts = nullptr;
+  // The comparisons of the drive's own nodes (CandidateSet::comparisons), and
+  // where to put all that are about to be made, or null.
+  std::int64_t own_comparisons = 0;
+  std::int64_t* comparisons = nullptr;
   // The frame of the first recording of the query's drive.
   std::size_t first_frame = 0;
 

@@ -110,6 +110,9 @@ TEST(MotionHistoryTest, MeasuresToTheBitWhatAWalkOverAllNodesMeasures) {
       ExpectAsMeasured(graph, space, model, history, graph.size() - 1);
       ExpectAsMeasured(graph, space, model, history, RandomNode(random, graph));
     }
+    history.Close(graph);
+    ExpectAsMeasured(graph, space, model, history, graph.size() - 1);
+    ExpectAsMeasured(graph, space, model, history, RandomNode(random, graph));
   }
 }
 
@@ -133,6 +136,9 @@ TEST(MotionHistoryTest, CountsTheStretchesThatAWalkOverAllNodesCounts) {
         ExpectAsCounted(random, graph, history, RandomNode(random, graph));
       }
     }
+    history.Close(graph);
+    ExpectAsCounted(random, graph, history, graph.size() - 1);
+    ExpectAsCounted(random, graph, history, RandomNode(random, graph));
   }
 }
 

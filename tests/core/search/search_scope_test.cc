@@ -296,8 +296,6 @@ TEST(SearchScopeTest, WithoutItsOwnHistoryADriveFindsOthersAlone) {
       std::none_of(set.candidates.begin(), set.candidates.end(), is_own));
   EXPECT_EQ(set.nodes_considered + set.nodes_pruned, others);
   EXPECT_LT(set.comparisons, own.comparisons);
-  EXPECT_EQ(Search(&drive).ComparisonsAt(query, settings.search, without),
-            set.comparisons);
   // There is nothing where there is nobody else, and others' history where
   // there is no own.
   const SearchScope alone{Join({}), std::nullopt, true};
@@ -309,6 +307,111 @@ TEST(SearchScopeTest, WithoutItsOwnHistoryADriveFindsOthersAlone) {
   EXPECT_EQ(Answer(drive, first, settings.search).empty_reason,
             EmptyReason::kNoHistory);
   EXPECT_FALSE(Answer(drive, first, settings.search, &with).candidates.empty());
+}
+
+// Drives over one ring each, so far from each other along x.
+struct Rings {
+  Rings(const DriveSettings& settings, int count, double meters) {
+    for (int k = 0; k < count; ++k) {
+      std::vector<Pose> ring = Ring(1300.0);
+      for (Pose& pose : ring) pose.x += meters * k;
+      drives.emplace_back(settings);
+      drives.back().Append(
+          RecordingOf(ring, DatumAt({meters * k, 0.0, 0.0, 0.0}, 3.0, 0.02), 0),
+          1);
+      pointers.push_back(nullptr);
+    }
+    for (std::size_t k = 0; k < drives.size(); ++k) pointers[k] = &drives[k];
+  }
+
+  std::vector<Drive> drives;
+  std::vector<const Drive*> pointers;
+};
+
+TEST(SearchScopeTest, DrivesThatAreFarAwayCountInNothingButTheirNodes) {
+  DriveSettings settings;
+  const Rings far(settings, 5, 20000.0);
+  const Drive& drive = far.drives[2];
+  const NodeIndex query = LastOf(drive);
+  const SearchScope all{Join(far.pointers), 2};
+  const CandidateSet alone = Answer(drive, query, settings.search);
+  Search search(&drive);
+  const CandidateSet set = Answer(&search, query, settings.search, &all);
+  EXPECT_EQ(set.comparisons, alone.comparisons);
+  EXPECT_EQ(search.last_comparisons(), set.comparisons);
+  EXPECT_EQ(
+      set.nodes_considered + set.nodes_pruned,
+      alone.nodes_considered + alone.nodes_pruned + 4 * drive.graph().size());
+  // Where all are looked at, all count.
+  settings.search.exhaustive = true;
+  EXPECT_GT(Answer(&search, query, settings.search, &all).comparisons,
+            4 * alone.comparisons);
+}
+
+TEST(SearchScopeTest, NearDrivesAreRefusedBeyondTheMostComparisons) {
+  DriveSettings settings;
+  const Rings near(settings, 3, 1.0);
+  const Drive& drive = near.drives[1];
+  const NodeIndex query = LastOf(drive);
+  const SearchScope all{Join(near.pointers), 1};
+  Search search(&drive);
+  const CandidateSet set = Answer(&search, query, settings.search, &all);
+  EXPECT_GT(set.comparisons, Answer(drive, query, settings.search).comparisons);
+  EXPECT_FALSE(set.candidates.empty());
+  settings.search.max_comparisons = set.comparisons;
+  EXPECT_FALSE(
+      Answer(&search, query, settings.search, &all).candidates.empty());
+  --settings.search.max_comparisons;
+  const CandidateSet refused = Answer(&search, query, settings.search, &all);
+  EXPECT_EQ(refused.empty_reason, EmptyReason::kTooMuchWork);
+  EXPECT_EQ(refused.comparisons, set.comparisons);
+  EXPECT_EQ(refused.nodes_considered + refused.nodes_pruned, 0);
+  EXPECT_FALSE(refused.scale.has_value());
+  EXPECT_EQ(search.last_comparisons(), 0);
+  // What was about to be made is known of a search that is stopped too.
+  settings.search.max_comparisons = set.comparisons;
+  const auto stopped =
+      search.At(query, settings.search, all, [] { return true; });
+  EXPECT_FALSE(stopped.ok());
+  EXPECT_EQ(search.last_comparisons(), set.comparisons);
+}
+
+TEST(SearchScopeTest, MotionThatIsPooledTellsTheSame) {
+  DriveSettings settings;
+  const Rings near(settings, 6, 3.0);
+  const Drive& drive = near.drives[3];
+  const NodeIndex query = LastOf(drive);
+  const auto pooled = Join(near.pointers);
+  ASSERT_NE(pooled->PoolFrom(0), nullptr);
+  // All views are new ones.
+  std::vector<JoinedDrive> views;
+  for (const Drive* one : near.pointers) views.push_back({one->View(1.0)});
+  const auto apart = std::make_shared<const JoinedDrives>(
+      views, std::vector<FrameLink>(), std::vector<FrameLink>(), pooled.get());
+  EXPECT_EQ(apart->PoolFrom(0), nullptr);
+  const std::vector<bool> few = {false, true, false, true, false, false};
+  const std::vector<bool> most = {true, true, false, true, true, true};
+  for (const std::vector<bool>& searched : {std::vector<bool>(), few, most}) {
+    const SearchScope with{pooled, 3, true, searched};
+    const SearchScope without{apart, 3, true, searched};
+    ExpectSameBits(Answer(drive, query, settings.search, &with),
+                   Answer(drive, query, settings.search, &without));
+    // Stretches of another length than those of the pool.
+    SearchOptions options = settings.search;
+    options.sequence_length_meters = 20.0;
+    ExpectSameBits(Answer(drive, query, options, &with),
+                   Answer(drive, query, options, &without));
+  }
+  // The same views again are pooled, and what is pooled is kept.
+  const auto again = std::make_shared<const JoinedDrives>(
+      views, std::vector<FrameLink>(), std::vector<FrameLink>(), apart.get());
+  ASSERT_NE(again->PoolFrom(0), nullptr);
+  const JoinedDrives kept(views, {}, {}, again.get());
+  EXPECT_EQ(kept.PoolFrom(0), again->PoolFrom(0));
+  // Not if one is gone.
+  views.pop_back();
+  EXPECT_NE(JoinedDrives(views, {}, {}, again.get()).PoolFrom(0),
+            again->PoolFrom(0));
 }
 
 TEST(SearchScopeTest, ALinkSaysWhereAnotherDriveLies) {
@@ -405,10 +508,12 @@ TEST(SearchScopeTest, GrowthIsThatOfEachViewAndIsForgottenWithIt) {
   for (std::size_t d = 0; d < 2; ++d) {
     const DriveView& view = joined->view(d);
     for (const NodeIndex reference : {0, 200}) {
-      const std::vector<char>& found = growth.Of(view, 0, reference);
+      const GrowthOfOthers::Growth& growth_of = growth.Of(view, 0, reference);
+      const std::vector<char>& found = growth_of.blocks;
       EXPECT_EQ(found, BlocksGrowing(view.state_space, view.graph,
                                      {0, view.graph.size()}, reference));
       EXPECT_EQ(std::count(found.begin(), found.end(), 1) > 0, d == 0);
+      EXPECT_EQ(growth_of.all_grow, d == 0);
     }
   }
   EXPECT_EQ(growth.size(), 4u);

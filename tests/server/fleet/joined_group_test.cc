@@ -92,12 +92,13 @@ class JoinGroupTest : public ::testing::Test {
 
   // How the first vehicle's frame is tied to another one's.
   core::FrameRelation TieTo(std::size_t drive) {
-    const auto joined =
-        JoinGroup(std::make_shared<const StoredGroup>(group_), histories_,
-                  [this](const KnownHistory& history, std::uint64_t sequence) {
-                    read_.emplace_back(history.key, sequence);
-                    return std::optional<core::PoseEstimate>();
-                  });
+    const auto joined = JoinGroup(
+        std::make_shared<const StoredGroup>(group_), histories_,
+        [this](const KnownHistory& history, std::uint64_t sequence) {
+          read_.emplace_back(history.key, sequence);
+          return std::optional<core::PoseEstimate>();
+        },
+        nullptr);
     const core::DriveView& asking = joined->drives->view(0);
     const core::SeenFrames seen = joined->drives->SeenFrom(
         asking.nodes(), asking.recordings, asking.graph.size() - 1, {}, 0);
