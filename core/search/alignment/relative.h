@@ -6,7 +6,7 @@
 // path, is weighed once by its own covariance (the anchor). For history
 // node j,
 //
-//   score(j) = ln N(d_j + a; 0, Gamma_j + R - A) + w LLR(q) - c - ln rho,
+//   score(j) = ln N(d_j + a; 0, Gamma_j + R - A) + w LLR(q) - c - b - ln rho,
 //
 // the log-odds of "the end is at node j" against "at no node of the history".
 // - q is the path of history back from j with the greatest LLR (path_walk.h),
@@ -16,6 +16,8 @@
 //   each slip; w discounts it for what neighbouring nodes share. c is the cost
 //   of a place at which roads join, which LLR has back where q covers all of
 //   the recent path (kJoinCost).
+// - b is by how much shapes are alike by chance, in other recordings
+//   (chance_ratio.h); 0 in the query's own.
 // - a is how far the end poses stray by themselves, as the smoother has it
 //   after q, and A is by how much that is more certain than R says. Both are 0
 //   where q is the end alone. This is the joint density of the whole window,

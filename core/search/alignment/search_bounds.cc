@@ -53,7 +53,8 @@ SearchBounds<D>::SearchBounds(const Query& query, const History& history,
       model_(model),
       recent_(recent),
       axes_(axes),
-      constant_(LogNewPlaceTerm(model) - recent.filter().join_cost()),
+      constant_(LogNewPlaceTerm(model) - recent.filter().join_cost() -
+                model.log_chance_ratio),
       stride_(StrideOf(history.size())) {}
 
 // The difference d_i of an end i near j is d_j + s, with s as far as the two

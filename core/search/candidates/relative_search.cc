@@ -10,6 +10,7 @@
 
 #include "core/drive/pose_graph.h"
 #include "core/noise/similarity_model.h"
+#include "core/search/alignment/chance_ratio.h"
 #include "core/search/alignment/far_histories.h"
 #include "core/search/alignment/relative.h"
 #include "core/search/candidates/gate.h"
@@ -107,10 +108,26 @@ class RelativeSearch {
   // Aligns the query with one history after the other; alignments do not depend
   // on each other. False if told to stop.
   bool Align() {
+    MeasureChance();
     return VisitAlignments(task_, model_, across_, passed_over_,
                            [this](const History&, RelativeAlignment found) {
                              alignments_.push_back(std::move(found));
                            });
+  }
+
+  // Measures how well other recordings match by chance. Their alignments take
+  // over the recent path.
+  void MeasureChance() {
+    const std::vector<History>& histories = task_.histories;
+    const auto other = std::find_if(
+        histories.begin(), histories.end(),
+        [](const History& history) { return !history.relation.is_own(); });
+    if (other == histories.end()) return;
+    across_.log_chance_ratio = LogChanceRatio(
+        task_.across, histories, across_,
+        task_.parts == nullptr ? nullptr
+                               : &(*task_.parts)[static_cast<std::size_t>(
+                                     other - histories.begin())]);
   }
 
   const ShapeMatch& MatchOf(const RankedPlace& place) const {
@@ -258,7 +275,7 @@ class RelativeSearch {
   const double pruned_share_;
   const RelativeModel model_;
   // The same for other recordings.
-  const RelativeModel across_;
+  RelativeModel across_;
   const PassedOver passed_over_;
   // One for each history.
   std::vector<RelativeAlignment> alignments_;

@@ -484,8 +484,8 @@ TEST(SearchScopeTest, ADriveThatIsNotSearchedStillTiesFrames) {
   ASSERT_FALSE(found.empty());
   ASSERT_FALSE(among_all.empty());
   EXPECT_EQ(found.front().first, among_all.front().first);
-  // But for the motion of the other, by which shapes are weighed.
-  EXPECT_NEAR(found.front().second, among_all.front().second, 0.01);
+  // But for the motion and the roads of the other, by which shapes are weighed.
+  EXPECT_NEAR(found.front().second, among_all.front().second, 0.5);
 }
 
 // Where errors grow says which blocks may be left out unseen.

@@ -1,0 +1,163 @@
+#include "core/search/alignment/chance_ratio.h"
+
+#include <algorithm>
+#include <cmath>
+#include <memory>
+
+#include "core/drive/frame_relation.h"
+#include "core/geometry/pose.h"
+#include "core/geometry/state_matrix.h"
+#include "core/noise/comparison.h"
+#include "core/search/alignment/path_axes.h"
+#include "core/search/alignment/path_walk.h"
+#include "core/search/alignment/pose_table.h"
+#include "core/search/alignment/recent_path.h"
+
+namespace revisit::core {
+namespace {
+
+// Says where in a history the vehicle is not.
+template <int D>
+class Elsewhere {
+ public:
+  // REQUIRES: the history is another recording, and tied.
+  Elsewhere(const Query& query, const History& history,
+            const RelativeModel& model)
+      : graph_(history.graph),
+        pair_(history.relation.frames(), history.relation.tie(), query.node,
+              model.similarity.inflation),
+        tolerance_(StateMatrix<D>::Zero()) {
+    AddTolerance<D>(model.similarity.tolerance, &tolerance_);
+  }
+
+  bool Has(NodeIndex j) const {
+    const Pose pose = graph_.pose(j);
+    const StateMatrix<D> gamma =
+        pair_.Covariance(j, pose, ToMatrix<D>(graph_.covariance(j))) +
+        tolerance_;
+    const double x = pose.x - pair_.query().x;
+    const double y = pose.y - pair_.query().y;
+    return x * x + y * y >
+           kSquaredElsewhere *
+               VariancesInAnyDirection(gamma(0, 0), gamma(0, 1), gamma(1, 1))
+                   .most;
+  }
+
+ private:
+  const PoseGraph& graph_;
+  const FramePair<D> pair_;
+  StateMatrix<D> tolerance_;
+};
+
+// The histories that are measured.
+std::vector<const History*> Measured(const std::vector<History>& histories) {
+  std::vector<const History*> tied;
+  for (const History& history : histories) {
+    if (!history.relation.is_own() && history.relation.tie().is_tied() &&
+        history.size() > 0) {
+      tied.push_back(&history);
+    }
+  }
+  const std::size_t every =
+      (tied.size() + kMostHistoriesMeasured - 1) / kMostHistoriesMeasured;
+  std::vector<const History*> measured;
+  for (std::size_t h = 0; h < tied.size(); h += every) {
+    measured.push_back(tied[h]);
+  }
+  return measured;
+}
+
+// Gathers the ratios of nodes, each that of the best path back from it.
+template <int D>
+class Ratios {
+ public:
+  Ratios(const Query& query, const RelativeModel& model,
+         const RecentPath<D>& recent)
+      : query_(query),
+        model_(model),
+        recent_(recent),
+        axes_(recent, 0.0, 0.0) {}
+
+  // Adds those of every `stride`-th node from `first` on.
+  void Add(const History& history, NodeIndex first, NodeIndex stride) {
+    if (first >= history.end) return;
+    const Elsewhere<D> elsewhere(query_, history, model_);
+    PoseTable table(history.graph, history.end);
+    for (const Direction direction : {Direction::kSame, Direction::kOpposite}) {
+      if (!(direction == Direction::kSame ? model_.same_direction
+                                          : model_.opposite_direction)) {
+        continue;
+      }
+      PathWalk<D> walk(history, recent_, axes_, direction, model_.over_loops,
+                       &table);
+      std::vector<WalkStart> starts;
+      for (NodeIndex j = first; j < history.end; j += stride) {
+        if (elsewhere.Has(j)) starts.push_back({j, kImpossible, starts.size()});
+        if (starts.size() == NodeBlock::kSize) Walk(&walk, &starts);
+      }
+      Walk(&walk, &starts);
+    }
+  }
+
+  double LogMean() const {
+    if (nats_.empty()) return 0.0;
+    const auto count = static_cast<double>(nats_.size());
+    const double most = std::log(count);
+    double sum = 0.0;
+    for (const double nats : nats_) sum += std::exp(std::min(nats, most));
+    return std::max(0.0, std::log(kUnseenRatios * sum / count));
+  }
+
+ private:
+  void Walk(PathWalk<D>* walk, std::vector<WalkStart>* starts) {
+    const BestPaths& paths = walk->Walk(*starts, nullptr);
+    for (const WalkStart& start : *starts) {
+      nats_.push_back(recent_.weight() *
+                          paths.log_likelihood_ratios[start.slot] -
+                      recent_.filter().join_cost());
+    }
+    starts->clear();
+  }
+
+  const Query& query_;
+  const RelativeModel& model_;
+  const RecentPath<D>& recent_;
+  const PathAxes<D> axes_;
+  std::vector<double> nats_;
+};
+
+template <int D>
+double LogChanceRatioIn(const Query& query,
+                        const std::vector<History>& histories,
+                        const RelativeModel& model, AlignmentParts* parts) {
+  const std::vector<const History*> measured = Measured(histories);
+  NodeIndex nodes = 0;
+  for (const History* history : measured) nodes += history->size();
+  if (nodes == 0) return 0.0;
+  if (parts->path == nullptr) {
+    parts->path = std::make_shared<const RecentPath<D>>(query, model);
+  }
+  const NodeIndex stride = (nodes + kMostMeasured - 1) / kMostMeasured;
+  Ratios<D> ratios(query, model,
+                   *std::static_pointer_cast<const RecentPath<D>>(parts->path));
+  NodeIndex before = 0;
+  for (const History* history : measured) {
+    ratios.Add(*history, history->first + (stride - before % stride) % stride,
+               stride);
+    before += history->size();
+  }
+  return ratios.LogMean();
+}
+
+}  // namespace
+
+double LogChanceRatio(const Query& query, const std::vector<History>& histories,
+                      const RelativeModel& model, AlignmentParts* parts) {
+  AlignmentParts own;
+  AlignmentParts* const kept = parts == nullptr ? &own : parts;
+  return model.similarity.state_space == StateSpace::kPlanar
+             ? LogChanceRatioIn<3>(query, histories, model, kept)
+             : LogChanceRatioIn<4>(query, histories, model, kept);
+}
+
+}  // namespace revisit::core

@@ -1,0 +1,52 @@
+// How much the shape's likelihood ratio comes to by chance.
+//
+// Where the vehicle is not, the ratio of the same road against another one
+// (shape_filter.h) should be 1 on average: that is what makes it a likelihood
+// ratio. Shapes are told apart by neighbouring turns alone, though, while roads
+// repeat as a whole: the blocks of a grid are equally long. A path that many
+// roads are like has a mean above 1 there, by which all of its ratios are too
+// great. Other recordings have such roads enough to measure it: where they lie
+// too far from the query for the vehicle to be there.
+//
+// Ratios that are e times as great are about e times as rare there, so each nat
+// adds as much to the mean as the one before, and so many nodes show only its
+// first part (kUnseenRatios). Ratios count up to the number of nodes: no more
+// can be told from so many, and a road that the vehicle is on after all,
+// farther off than its errors allow, does little harm.
+#ifndef REVISIT_CORE_SEARCH_ALIGNMENT_CHANCE_RATIO_H_
+#define REVISIT_CORE_SEARCH_ALIGNMENT_CHANCE_RATIO_H_
+
+#include <cstddef>
+#include <vector>
+
+#include "core/drive/node_index.h"
+#include "core/search/alignment/history.h"
+#include "core/search/alignment/query.h"
+#include "core/search/alignment/relative.h"
+#include "core/search/alignment/relative_model.h"
+
+namespace revisit::core {
+
+// Nodes that are measured, at most, evenly spread over at most so many
+// histories, which are evenly spread too.
+inline constexpr NodeIndex kMostMeasured = 4096;
+inline constexpr std::size_t kMostHistoriesMeasured = 64;
+
+// The mean of all ratios to that of those which count. Chosen on a town with a
+// grid, and judged on another one (tests/evaluation/RESULTS.md).
+inline constexpr double kUnseenRatios = 2.0;
+
+// Nodes beyond this squared Mahalanobis distance of position from the query are
+// where the vehicle is not.
+inline constexpr double kSquaredElsewhere = 16.0;
+
+// The logarithm of the mean ratio, at least 0; 0 where nothing could be
+// measured. Histories count that are other recordings, and tied to the query's.
+// The model is theirs. `parts`, if not null, are those of an alignment with one
+// of them, and have the recent path afterwards.
+double LogChanceRatio(const Query& query, const std::vector<History>& histories,
+                      const RelativeModel& model, AlignmentParts* parts);
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_SEARCH_ALIGNMENT_CHANCE_RATIO_H_
