@@ -114,6 +114,7 @@ Vehicles::Vehicles(const ServerSettings& settings, Storage* storage,
   Fleet::Options options = FleetOptionsOf(settings, is_shared, log);
   options.census = census_;
   options.checks.codec = &check_codec_;
+  options.checks.scopes = &check_scopes_;
   options.checks.max_search_steps = settings.limits.max_search_steps;
   options.checks.monitor = std::make_shared<CheckMonitor>();
   fleet_ = std::make_unique<Fleet>(
@@ -122,6 +123,7 @@ Vehicles::Vehicles(const ServerSettings& settings, Storage* storage,
   group_searches_ = std::make_unique<GroupSearches>(fleet_.get(), storage,
                                                     &codec_, &read_executor_,
                                                     GroupOptionsOf(settings));
+  check_scopes_.Use(group_searches_.get());
   group_upkeep_ = std::make_unique<Periodic>(kUnloadGroupsPeriod, [this] {
     group_searches_->UnloadIdle(std::chrono::steady_clock::now());
   });

@@ -11,6 +11,7 @@
 #include "server/connections/admission.h"
 #include "server/conversion/stored_checks_codec.h"
 #include "server/feed/event_feed.h"
+#include "server/fleet/group_check_scopes.h"
 #include "server/fleet/group_searches.h"
 #include "server/groups/group_editor.h"
 #include "server/records/proto_record_codec.h"
@@ -31,6 +32,10 @@ class Vehicles {
   // and log must outlive this.
   Vehicles(const ServerSettings& settings, Storage* storage, bool is_shared,
            const Log* log);
+  ~Vehicles() { check_scopes_.UseNone(); }
+
+  Vehicles(const Vehicles&) = delete;
+  Vehicles& operator=(const Vehicles&) = delete;
 
   Fleet* fleet() { return fleet_.get(); }
   const Fleet* fleet() const { return fleet_.get(); }
@@ -51,6 +56,7 @@ class Vehicles {
   // The fleet needs those above it until its work is done.
   ProtoRecordCodec codec_;
   ProtoCheckCodec check_codec_;
+  GroupCheckScopes check_scopes_;
   EventFeed feed_;
   Admission admission_;
   Executor executor_;

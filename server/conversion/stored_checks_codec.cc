@@ -81,6 +81,23 @@ const v1::Candidate* EvidenceOf(const v1::Check& check,
              : WithRank(check.candidates(), candidate.rank());
 }
 
+// Leaves out what names a vehicle that the caller may not read.
+void LeaveOutHidden(const MayReadVehicle& may_read, v1::CandidateSet* set) {
+  const auto leave_out = [&](const auto& vehicle_of, auto* all) {
+    const auto is_hidden = [&](const auto& one) {
+      const std::string& name = vehicle_of(one);
+      return !name.empty() && !may_read(name.substr(VehicleName("").size()));
+    };
+    all->erase(std::remove_if(all->begin(), all->end(), is_hidden), all->end());
+  };
+  leave_out([](const v1::Candidate& one) { return one.matched_vehicle(); },
+            set->mutable_candidates());
+  leave_out([](const v1::SearchedVehicle& one) { return one.vehicle(); },
+            set->mutable_searched());
+  leave_out([](const v1::UnsearchedVehicle& one) { return one.vehicle(); },
+            set->mutable_unsearched());
+}
+
 // The values of a repeated enum's field, without UNSPECIFIED.
 template <typename Enum>
 void ReadValues(const google::protobuf::RepeatedField<int>& values,
@@ -100,12 +117,13 @@ void ReadValues(const google::protobuf::RepeatedField<int>& values,
 
 // ---- The store
 
-std::string ProtoCheckCodec::EncodeFound(
-    const VehicleView& view, const core::CandidateSet& set,
-    std::chrono::nanoseconds duration) const {
+std::string ProtoCheckCodec::EncodeFound(const VehicleView& view,
+                                         const core::CandidateSet& set,
+                                         std::chrono::nanoseconds duration,
+                                         const CheckScope* scope) const {
   v1::CandidateSet message;
   EncodeCandidateSet(view, set, /*include_aligned_path=*/false, duration,
-                     &message);
+                     &message, scope == nullptr ? nullptr : scope->group.get());
   return message.SerializeAsString();
 }
 
@@ -149,7 +167,8 @@ std::string ProtoCheckCodec::EncodeFarewell(const EventOrigin& origin) const {
 // ---- Answers
 
 absl::Status EncodeCheck(const std::string& vehicle_id,
-                         const CheckRecord& record, v1::Check* message) {
+                         const CheckRecord& record,
+                         const MayReadVehicle& may_read, v1::Check* message) {
   if (!record.damage.ok()) return record.damage;
   const absl::StatusOr<StoredCheck> stored = DecodeCheckRecord(record.payload);
   if (!stored.ok()) return stored.status();
@@ -164,10 +183,15 @@ absl::Status EncodeCheck(const std::string& vehicle_id,
                                 " of vehicle '", vehicle_id,
                                 "' found last is not a CandidateSet"));
   }
+  LeaveOutHidden(may_read, message->mutable_candidates());
+  if (message->has_latest()) {
+    LeaveOutHidden(may_read, message->mutable_latest());
+  }
   message->set_stale(stored->stale);
   message->set_name(CheckName(vehicle_id, record.sequence));
   message->set_vehicle_uid(stored->vehicle_uid);
   for (const StoredCandidate& candidate : stored->candidates) {
+    if (!candidate.is_own() && !may_read(candidate.matched_vehicle)) continue;
     Encode(vehicle_id, record.sequence, candidate, message->add_states());
   }
   EncodeTime(record.create_time_ns, message->mutable_create_time());
@@ -175,7 +199,8 @@ absl::Status EncodeCheck(const std::string& vehicle_id,
 }
 
 absl::Status EncodeEvent(const EventRecord& record,
-                         v1::WatchCandidatesResponse* message) {
+                         v1::WatchCandidatesResponse* message,
+                         std::string* matched_vehicle_id) {
   if (!record.damage.ok()) return record.damage;
   const absl::StatusOr<StoredEvent> stored = DecodeEventRecord(record.payload);
   if (!stored.ok()) return stored.status();
@@ -197,6 +222,7 @@ absl::Status EncodeEvent(const EventRecord& record,
     return Corrupt("the evidence of a stored event is not a Candidate");
   }
   event->set_revision(stored->revision);
+  *matched_vehicle_id = stored->candidate->matched_vehicle;
   EncodeTime(record.time_ns, event->mutable_event_time());
   return absl::OkStatus();
 }

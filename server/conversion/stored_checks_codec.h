@@ -4,6 +4,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <set>
 #include <string>
 
@@ -21,7 +22,8 @@ class ProtoCheckCodec final : public CheckCodec {
  public:
   std::string EncodeFound(const VehicleView& view,
                           const core::CandidateSet& set,
-                          std::chrono::nanoseconds duration) const override;
+                          std::chrono::nanoseconds duration,
+                          const CheckScope* scope) const override;
   std::string EncodeCheck(const StoredCheck& check) const override;
   absl::StatusOr<StoredCheck> DecodeCheck(
       const std::string& payload) const override;
@@ -32,15 +34,22 @@ class ProtoCheckCodec final : public CheckCodec {
   std::string EncodeFarewell(const EventOrigin& origin) const override;
 };
 
-// A check of a vehicle as it is stored. DATA_LOSS (STORE_CORRUPT) if it is
-// damaged.
-absl::Status EncodeCheck(const std::string& vehicle_id,
-                         const CheckRecord& record, v1::Check* message);
+// Whether a caller may read a vehicle.
+using MayReadVehicle = std::function<bool(const std::string& vehicle_id)>;
 
-// An event as it is stored, without its cursor. DATA_LOSS (STORE_CORRUPT) if
+// A check of a vehicle as it is stored, without what names another vehicle that
+// the caller may not read: without states if that is all that it has. DATA_LOSS
+// (STORE_CORRUPT) if it is damaged.
+absl::Status EncodeCheck(const std::string& vehicle_id,
+                         const CheckRecord& record,
+                         const MayReadVehicle& may_read, v1::Check* message);
+
+// An event as it is stored, without its cursor. Sets the id of the other
+// vehicle that it is about, if it is about one. DATA_LOSS (STORE_CORRUPT) if
 // its payload is not that of an event.
 absl::Status EncodeEvent(const EventRecord& record,
-                         v1::WatchCandidatesResponse* message);
+                         v1::WatchCandidatesResponse* message,
+                         std::string* matched_vehicle_id);
 
 // Which candidates a caller wants.
 struct CandidateFilter {

@@ -6,6 +6,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "server/base/status.h"
+#include "server/conversion/names.h"
 #include "server/conversion/vehicle_labels.h"
 #include "server/fields/enums.h"
 #include "server/fields/settings_table.h"
@@ -95,12 +96,21 @@ absl::Status CheckFixedSettings(const VehicleConfig& current,
 
 absl::StatusOr<VehicleConfig> DecodeSettings(
     const v1::VehicleSettings& settings, const FieldPath& path) {
-  return ReadSettings(settings, path);
+  absl::StatusOr<VehicleConfig> config = ReadSettings(settings, path);
+  if (!config.ok() || config->check_group.empty()) return config;
+  // The config has the id, as all of the server has.
+  absl::StatusOr<std::string> group =
+      ParseGroupName(config->check_group, path.Field("check_group"));
+  if (!group.ok()) return group.status();
+  config->check_group = *std::move(group);
+  return config;
 }
 
 void EncodeSettings(const VehicleConfig& config,
                     v1::VehicleSettings* settings) {
   WriteSettings(config, settings);
+  if (config.check_group.empty()) return;
+  settings->set_check_group(GroupName(config.check_group));
 }
 
 absl::StatusOr<VehicleConfig> UpdateConfig(

@@ -36,7 +36,8 @@ std::string IdIn(const std::string& name) {
 FeedEventPtr Decode(const EventRecord& record) {
   auto event = std::make_shared<FeedEvent>();
   event->position = record.position;
-  if (record.payload.empty() || !EncodeEvent(record, &event->message).ok()) {
+  if (record.payload.empty() ||
+      !EncodeEvent(record, &event->message, &event->matched_vehicle_id).ok()) {
     event->message.Clear();
   } else {
     event->vehicle_id = IdIn(event->message.has_vehicle_deleted()

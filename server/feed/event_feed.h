@@ -38,6 +38,8 @@ struct FeedEvent {
   // Empty where the vehicle is gone, or the event is damaged: nothing is told
   // of it then, and whoever has come to it goes on behind it.
   std::string vehicle_id;
+  // The other vehicle that it is about; empty if there is none.
+  std::string matched_vehicle_id;
   v1::WatchCandidatesResponse message;
   // The memory that it takes.
   std::size_t bytes = 0;

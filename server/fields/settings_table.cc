@@ -92,6 +92,11 @@ void SettingsReader::Switch(const char* name, bool* value) {
   if (field != nullptr) *value = reflection_.GetBool(message_, field);
 }
 
+void SettingsReader::Text(const char* name, std::string* value) {
+  const FieldDescriptor* const field = FindGiven(name);
+  if (field != nullptr) *value = reflection_.GetString(message_, field);
+}
+
 void SettingsReader::Tolerance(const char* name, core::PlaceTolerance* value) {
   const FieldDescriptor* const field = FindGiven(name);
   if (field == nullptr) return;
@@ -218,6 +223,13 @@ void SettingsWriter::Count(const char* name, const int* value) {
 void SettingsWriter::Switch(const char* name, const bool* value) {
   const FieldDescriptor* const field = Find(name);
   if (field != nullptr) reflection_.SetBool(message_, field, *value);
+}
+
+void SettingsWriter::Text(const char* name, const std::string* value) {
+  const FieldDescriptor* const field = Find(name);
+  if (field == nullptr) return;
+  reflection_.ClearField(message_, field);
+  if (!value->empty()) reflection_.SetString(message_, field, *value);
 }
 
 void SettingsWriter::Tolerance(const char* name,

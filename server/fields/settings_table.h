@@ -65,6 +65,7 @@ void VisitSettings(Config* config, Visitor* visitor) {
   visitor->Retention("retention", &drive->retention);
   visitor->Enum("checks", kChecksKept, &config->checks);
   visitor->Number("keep_probability", &config->keep_probability);
+  visitor->Text("check_group", &config->check_group);
 
   auto* search = &drive->search;
   visitor->Enum("correlation_model", kCorrelationModels,
@@ -110,6 +111,7 @@ class SettingsReader {
   void Number(const char* name, double* value);
   void Count(const char* name, int* value);
   void Switch(const char* name, bool* value);
+  void Text(const char* name, std::string* value);
   // A tolerance that is given replaces both numbers.
   void Tolerance(const char* name, core::PlaceTolerance* value);
   void Origin(const char* name, VehicleConfig* config);
@@ -147,6 +149,8 @@ class SettingsWriter {
   void Number(const char* name, const double* value);
   void Count(const char* name, const int* value);
   void Switch(const char* name, const bool* value);
+  // Absent where it is empty.
+  void Text(const char* name, const std::string* value);
   void Tolerance(const char* name, const core::PlaceTolerance* value);
   void Origin(const char* name, const VehicleConfig* config);
   void Retention(const char* name, const core::RetentionOptions* value);

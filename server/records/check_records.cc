@@ -39,6 +39,8 @@ void Write(const StoredCandidate& candidate, stored::CheckCandidate* message) {
   message->set_probability(candidate.probability);
   message->set_value_square_meters(candidate.value);
   message->set_contradicted(candidate.contradicted);
+  message->set_matched_vehicle(candidate.matched_vehicle);
+  message->set_matched_uid(candidate.matched_uid);
 }
 
 absl::StatusOr<StoredCandidate> Read(const stored::CheckCandidate& message) {
@@ -60,6 +62,8 @@ absl::StatusOr<StoredCandidate> Read(const stored::CheckCandidate& message) {
   candidate.probability = message.probability();
   candidate.value = message.value_square_meters();
   candidate.contradicted = message.contradicted();
+  candidate.matched_vehicle = message.matched_vehicle();
+  candidate.matched_uid = message.matched_uid();
   return candidate;
 }
 

@@ -46,8 +46,14 @@ absl::StatusOr<VehicleRecord> FindVehicle(Storage* storage,
   return vehicle;
 }
 
+MayReadVehicle RightsOf(const Caller& caller) {
+  return [&caller](const std::string& vehicle_id) {
+    return caller.May(Verb::kRead, vehicle_id);
+  };
+}
+
 absl::Status ReadCheck(Storage* storage, const ParsedCheckName& name,
-                       v1::Check* check) {
+                       const Caller& caller, v1::Check* check) {
   const absl::StatusOr<VehicleRecord> vehicle =
       FindVehicle(storage, name.vehicle_id);
   if (!vehicle.ok()) return vehicle.status();
@@ -55,7 +61,12 @@ absl::Status ReadCheck(Storage* storage, const ParsedCheckName& name,
       vehicle->key, name.sequence, name.sequence, /*open_only=*/false, 1);
   if (!found.ok()) return found.status();
   if (found->empty()) return CheckNotFound(name);
-  return EncodeCheck(name.vehicle_id, found->front(), check);
+  const absl::Status status =
+      EncodeCheck(name.vehicle_id, found->front(), RightsOf(caller), check);
+  if (!status.ok()) return status;
+  // All that was kept is in vehicles that the caller may not read.
+  if (check->states().empty()) return CheckNotFound(name);
+  return absl::OkStatus();
 }
 
 // What a list is asked for, beside its place.
@@ -111,7 +122,7 @@ class Page {
       if (found->empty()) continue;
       v1::Check check;
       const absl::Status status =
-          EncodeCheck(vehicle_id, found->front(), &check);
+          EncodeCheck(vehicle_id, found->front(), RightsOf(caller_), &check);
       if (!status.ok()) return status;
       for (v1::CheckCandidate& candidate : *check.mutable_states()) {
         candidate.set_recommended(recommended_.count(candidate.name()) > 0);
@@ -194,7 +205,8 @@ class Page {
       if (!records.ok()) return records.status();
       for (const CheckRecord& record : *records) {
         v1::Check check;
-        const absl::Status status = EncodeCheck(vehicle.id, record, &check);
+        const absl::Status status =
+            EncodeCheck(vehicle.id, record, RightsOf(caller_), &check);
         if (!status.ok()) return status;
         if (!IsWanted(check)) continue;
         Ranked one;
@@ -256,7 +268,8 @@ class Page {
         }
         ++looked_at_;
         v1::Check check;
-        const absl::Status status = EncodeCheck(vehicle.id, record, &check);
+        const absl::Status status =
+            EncodeCheck(vehicle.id, record, RightsOf(caller_), &check);
         if (!status.ok()) return status;
         if (IsWanted(check)) Take(&check);
       }
@@ -315,7 +328,8 @@ absl::Status GetCheck(const ServiceContext& service, const UnaryCallPtr& call,
     return status;
   }
   service.executor->Post([=, name = *name, storage = service.storage] {
-    call->End(ReadCheck(storage, name, response->mutable_check()));
+    call->End(ReadCheck(storage, name, call->rights().caller(),
+                        response->mutable_check()));
   });
   return absl::OkStatus();
 }

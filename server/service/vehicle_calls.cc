@@ -48,6 +48,28 @@ absl::StatusOr<VehicleConfig> NewConfig(
   return config;
 }
 
+// OK if the caller may have checks of a vehicle search in this group: one of
+// the vehicle's tenant that the caller may read, which need not be there.
+absl::Status CheckGroupOfChecks(const VehicleConfig& config,
+                                const std::string& vehicle_id,
+                                UnaryCall* call) {
+  const std::string& group = config.check_group;
+  if (group.empty()) return absl::OkStatus();
+  if (absl::Status status =
+          call->rights().AlsoNeeds(Verb::kRead, group, Resource::kGroup);
+      !status.ok()) {
+    return status;
+  }
+  if (call->rights().caller().AreOfOneTenant(group, vehicle_id)) {
+    return absl::OkStatus();
+  }
+  return InvalidField(
+      kInvalidField,
+      kRequest.Field("vehicle").Field("settings").Field("check_group"),
+      absl::StrCat("got ", Quoted(GroupName(group)),
+                   ", which is of another tenant than the vehicle"));
+}
+
 // Creates a vehicle, or finds the one of that name that is there. A vehicle
 // that is deleted between the two is created anew: a creation never finds
 // nothing.
@@ -95,7 +117,12 @@ absl::StatusOr<VehicleConfig> ChangedConfig(
   absl::StatusOr<VehicleConfig> config =
       UpdateConfig(view.config, view.durable_sequence > 0, request.vehicle(),
                    request.update_mask());
-  if (!config.ok() || !core::MovesNodes(view.config.drive, config->drive)) {
+  if (!config.ok()) return config;
+  if (config->check_group != view.config.check_group) {
+    const absl::Status status = CheckGroupOfChecks(*config, view.id, call);
+    if (!status.ok()) return status;
+  }
+  if (!core::MovesNodes(view.config.drive, config->drive)) {
     return config;
   }
   const absl::Status room = call->room().TakeRebuild(view.durable_sequence);
@@ -139,6 +166,10 @@ absl::Status CreateVehicle(const ServiceContext& service,
     decoded->checks = ChecksKept::kStored;
   }
   const VehicleConfig& config = *decoded;
+  if (absl::Status status = CheckGroupOfChecks(config, id, call.get());
+      !status.ok()) {
+    return status;
+  }
   // `vehicle`: its view, or its record.
   const auto encode = [=](const auto& vehicle) {
     EncodeCreated(vehicle, config, MayRead(*call, vehicle.id),

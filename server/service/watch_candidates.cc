@@ -225,6 +225,10 @@ class CandidateWatch final : public WritingCall<CandidateWatch> {
       return false;
     }
     if (!caller_->May(Verb::kRead, event.vehicle_id)) return false;
+    if (!event.matched_vehicle_id.empty() &&
+        !caller_->May(Verb::kRead, event.matched_vehicle_id)) {
+      return false;
+    }
     if (!event.message.has_candidate()) return true;
     const v1::CandidateEvent& candidate = event.message.candidate();
     return Matches(filter_, candidate.candidate(), candidate.evidence());

@@ -122,7 +122,12 @@ std::uint64_t CheckBasis::Of(std::uint64_t check_sequence,
   const core::PoseGraph& graph = vehicle_->loaded->graph();
   std::uint64_t hash = JoinedPose(settings_, graph, check_sequence);
   for (const StoredCandidate& candidate : candidates) {
-    hash = JoinedPose(hash, graph, candidate.matched_sequence);
+    if (candidate.is_own()) {
+      hash = JoinedPose(hash, graph, candidate.matched_sequence);
+    } else {
+      hash = Joined(Joined(hash, candidate.matched_uid),
+                    candidate.matched_sequence);
+    }
   }
   const auto node = graph.NodeAtOrBefore(check_sequence);
   if (!node) return hash;

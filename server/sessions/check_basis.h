@@ -16,10 +16,12 @@ namespace revisit::server {
 // A check depends on the vehicle's settings, the estimates at its pose and at
 // those matched, the loop closures and the rejected candidates up to it, which
 // also count for what marks before it have shown, and the rejected candidates
-// beside it. What closures far from the check do to the scale of
-// covariances (VehicleSettings.apply_inflation) is left out, or each closure
-// would have all checks searched again. Numbers are the same in all processes,
-// so that they are stored. Belongs to the session's strand.
+// beside it. What other vehicles have driven, and what is known of where, is
+// left out: the check is about what was known of that then. What closures far
+// from the check do to the scale of covariances
+// (VehicleSettings.apply_inflation) is left out, or each closure would have all
+// checks searched again. Numbers are the same in all processes, so that they
+// are stored. Belongs to the session's strand.
 class CheckBasis {
  public:
   // Counts the changes on which any check's number may depend.

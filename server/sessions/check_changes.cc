@@ -14,6 +14,24 @@ std::uint64_t PoseOf(const core::PoseGraph& graph, core::NodeIndex index) {
   return node.sequence + (node.fraction > 0.0 ? 1 : 0);
 }
 
+double TravelledAt(const core::PoseGraph& graph, std::uint64_t sequence) {
+  const auto node = graph.NodeAtOrBefore(sequence);
+  return node ? graph.node(*node).travelled_meters : 0.0;
+}
+
+void SetMatch(const core::PoseGraph& graph, const core::Candidate& candidate,
+              const CheckScope* scope, StoredCandidate* stored) {
+  if (!candidate.drive) {
+    stored->matched_sequence = PoseOf(graph, candidate.matched);
+    return;
+  }
+  const std::size_t drive = *candidate.drive;
+  stored->matched_sequence =
+      PoseOf(scope->search.drives->view(drive).graph, candidate.matched);
+  stored->matched_vehicle = scope->vehicles[drive].id;
+  stored->matched_uid = scope->vehicles[drive].uid;
+}
+
 double ProbabilityOf(const core::Candidate& candidate) {
   return candidate.relative ? candidate.relative->probability : 0.0;
 }
@@ -81,9 +99,7 @@ void CheckChanges::Tell(std::uint64_t sequence, StoredCheck* check,
 }
 
 double CheckChanges::TravelledAt(std::uint64_t sequence) const {
-  const core::PoseGraph& graph = vehicle_->loaded->graph();
-  const auto node = graph.NodeAtOrBefore(sequence);
-  return node ? graph.node(*node).travelled_meters : 0.0;
+  return server::TravelledAt(vehicle_->loaded->graph(), sequence);
 }
 
 bool CheckChanges::AreNear(std::uint64_t a, std::uint64_t b) const {
@@ -91,7 +107,9 @@ bool CheckChanges::AreNear(std::uint64_t a, std::uint64_t b) const {
 }
 
 bool CheckChanges::IsPair(const PosePairRecord& pair, std::uint64_t query,
-                          std::uint64_t matched) const {
+                          const StoredCandidate& candidate) const {
+  if (!candidate.is_own()) return false;
+  const std::uint64_t matched = candidate.matched_sequence;
   return (AreNear(pair.query_sequence, query) &&
           AreNear(pair.matched_sequence, matched)) ||
          (AreNear(pair.query_sequence, matched) &&
@@ -102,10 +120,7 @@ void CheckChanges::Decide(std::uint64_t sequence,
                           StoredCandidate* candidate) const {
   for (const PairKind kind : kPairKinds) {
     for (const auto& [id, pair] : vehicle_->pairs.Of(kind)) {
-      if (!pair.damage.ok() ||
-          !IsPair(pair, sequence, candidate->matched_sequence)) {
-        continue;
-      }
+      if (!pair.damage.ok() || !IsPair(pair, sequence, *candidate)) continue;
       const bool confirms = kind == PairKind::kLoopClosure;
       candidate->state =
           confirms ? CandidateState::kConfirmed : CandidateState::kRejected;
@@ -119,7 +134,7 @@ void CheckChanges::Decide(std::uint64_t sequence,
 
 double CheckChanges::ValueOf(std::uint64_t sequence,
                              const StoredCandidate& candidate) const {
-  if (candidate.state != CandidateState::kOpen ||
+  if (candidate.state != CandidateState::kOpen || !candidate.is_own() ||
       candidate.probability <= 0.0) {
     return 0.0;
   }

@@ -11,6 +11,7 @@
 #include "core/drive/pose_graph.h"
 #include "core/search/candidates/candidate.h"
 #include "server/sessions/check_codec.h"
+#include "server/sessions/check_scopes.h"
 #include "server/sessions/vehicle_state.h"
 #include "server/storage/records.h"
 
@@ -18,6 +19,13 @@ namespace revisit::server {
 
 // The pose with which a node came.
 std::uint64_t PoseOf(const core::PoseGraph& graph, core::NodeIndex index);
+// The distance travelled up to the last node at or before a pose.
+double TravelledAt(const core::PoseGraph& graph, std::uint64_t sequence);
+// Fills in where the matched node of a candidate is. `graph`: that of the
+// vehicle that is checked; `scope`: of the search; null for its own history
+// alone.
+void SetMatch(const core::PoseGraph& graph, const core::Candidate& candidate,
+              const CheckScope* scope, StoredCandidate* stored);
 // 0 of alignments that know none.
 double ProbabilityOf(const core::Candidate& candidate);
 // Whether a candidate is worth keeping. Of alignments that know no probability,
@@ -65,16 +73,19 @@ class CheckChanges {
   void Tell(std::uint64_t sequence, StoredCheck* check, std::size_t index,
             ChecksWrite* write) const;
 
-  // The distance travelled up to the last node at or before a pose.
+  // Of the vehicle's own.
   double TravelledAt(std::uint64_t sequence) const;
-  // Whether two poses lie within core::kPlaceRadiusMeters along the path.
+  // Whether two of its poses lie within core::kPlaceRadiusMeters along the
+  // path.
   bool AreNear(std::uint64_t a, std::uint64_t b) const;
-  // Whether the pair's places are those of a check and a matched pose.
+  // Whether the pair's places are those of a candidate of the check at a pose:
+  // never if that is in the history of another vehicle.
   bool IsPair(const PosePairRecord& pair, std::uint64_t query,
-              std::uint64_t matched) const;
+              const StoredCandidate& candidate) const;
   // Has a pair that is there decide on a candidate that was just found.
   void Decide(std::uint64_t sequence, StoredCandidate* candidate) const;
-  // StoredCandidate::value, given the closures that there are.
+  // StoredCandidate::value, given the closures that there are: 0 of one in the
+  // history of another vehicle.
   double ValueOf(std::uint64_t sequence,
                  const StoredCandidate& candidate) const;
 

@@ -11,6 +11,7 @@
 
 #include "absl/status/statusor.h"
 #include "core/search/candidates/candidate.h"
+#include "server/sessions/check_scopes.h"
 #include "server/sessions/vehicle_view.h"
 
 namespace revisit::server {
@@ -37,6 +38,10 @@ struct StoredCandidate {
   int latest_rank = 0;
   // The pose with which the matched node came.
   std::uint64_t matched_sequence = 0;
+  // Id and uid of the vehicle of this pose, where it is another one than that
+  // which is checked; else empty.
+  std::string matched_vehicle = std::string();
+  std::string matched_uid = std::string();
   CandidateState state = CandidateState::kOpen;
   CandidateCause cause = CandidateCause::kCheck;
   // Caller::identity of who caused it; empty if no caller did.
@@ -53,6 +58,9 @@ struct StoredCandidate {
   // The id of the closure that was found to contradict others, so that it is
   // asked about once; empty if none was.
   std::string contradicted = std::string();
+
+  // Whether both places are in the history of the vehicle that is checked.
+  bool is_own() const { return matched_vehicle.empty(); }
 };
 
 struct StoredCheck {
@@ -84,10 +92,12 @@ struct EventOrigin {
 class CheckCodec {
  public:
   virtual ~CheckCodec() = default;
-  // REQUIRES: the set was found in this view.
+  // `scope`: null for the vehicle's own history alone. REQUIRES: the set was
+  // found in this view and scope.
   virtual std::string EncodeFound(const VehicleView& view,
                                   const core::CandidateSet& set,
-                                  std::chrono::nanoseconds duration) const = 0;
+                                  std::chrono::nanoseconds duration,
+                                  const CheckScope* scope) const = 0;
   virtual std::string EncodeCheck(const StoredCheck& check) const = 0;
   // DATA_LOSS if the payload is not that of a check.
   virtual absl::StatusOr<StoredCheck> DecodeCheck(

@@ -207,7 +207,7 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
       VehicleSession* const session = entry.session.get();
       if (session->gone()) continue;
       if (!session->is_loaded()) session->PayChecks();
-      if (session->has_second_searches()) session->SearchAgain();
+      if (session->has_waiting_searches()) session->SearchAgain();
     }
   }
 

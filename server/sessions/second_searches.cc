@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <utility>
 
 #include "core/drive/drive.h"
@@ -14,9 +15,6 @@
 namespace revisit::server {
 namespace {
 
-// Second searches are one flow beside those of all callers, whichever vehicle
-// they are of.
-constexpr char kSecondSearches[] = "second searches";
 // Rows of one page of a look, some milliseconds.
 constexpr int kChecksPerLook = 100;
 constexpr std::chrono::milliseconds kJudgingSlice{10};
@@ -24,6 +22,8 @@ constexpr std::chrono::milliseconds kJudgingSlice{10};
 constexpr std::size_t kLeastClosures = 3;
 // Changes of values below this part are not worth a write.
 constexpr double kValueStep = 0.01;
+// How far places of different vehicles lie from each other along a path.
+constexpr double kElsewhere = std::numeric_limits<double>::infinity();
 
 bool IsUndecided(CandidateState state) {
   return state == CandidateState::kOpen || state == CandidateState::kWithdrawn;
@@ -53,6 +53,7 @@ void SecondSearches::Allow() {
 
 void SecondSearches::AllowMore() {
   Allow();
+  search_.TryAgain();
   may_judge_ = true;
   Consider();
 }
@@ -68,7 +69,7 @@ void SecondSearches::Consider() {
   if (is_at_work_) return;
   if (looked_ != now || looks_again_ || (may_judge_ && MustJudge())) {
     Look();
-  } else if (!waiting_.empty() && allowed_ > 0) {
+  } else if (!waiting_.empty() && allowed_ > 0 && search_.MayPost()) {
     Search();
   }
 }
@@ -209,8 +210,10 @@ void SecondSearches::LookAt(const CheckRecord& record, ChecksWrite* write) {
                         "", now_ns, ""},
                        write);
     }
+    const bool lost_match =
+        candidate.is_own() && dropped.Contains(candidate.matched_sequence);
     if (candidate.state == CandidateState::kOpen &&
-        (is_dropped || dropped.Contains(candidate.matched_sequence))) {
+        (is_dropped || lost_match)) {
       changes_->Change(record, &*check, i,
                        {CandidateState::kWithdrawn, CandidateCause::kRetention,
                         "", now_ns, ""},
@@ -255,9 +258,12 @@ void SecondSearches::EndLook() {
 
 void SecondSearches::Search() {
   is_at_work_ = true;
-  search_ = SearchTurns();
-  gave_way_ = 0;
-  queue_->PostSearch(kSecondSearches, [this] { TakeTurn(); });
+  search_.Restart();
+  PostTurn();
+}
+
+void SecondSearches::PostTurn() {
+  search_.Post([this] { TakeTurn(); }, [this] { is_at_work_ = false; });
 }
 
 void SecondSearches::TakeTurn() {
@@ -269,7 +275,7 @@ void SecondSearches::TakeTurn() {
     is_at_work_ = false;
     Consider();
   };
-  if (basis_->version() != looked_ || waiting_.empty()) {
+  if (basis_->version() != looked_ || waiting_.empty() || !search_.is_ready()) {
     leave();
     return;
   }
@@ -280,27 +286,14 @@ void SecondSearches::TakeTurn() {
     leave();
     return;
   }
-  core::SearchOptions options = vehicle_->head.config().drive.search;
-  options.max_comparisons = policy_.max_search_steps;
-  const bool gives_way = gave_way_ < kMostGivenWay;
-  const auto set = search_.Take(vehicle_->View(), *node, options, [&] {
-    return gives_way && queue_->IsWanted();
-  });
-  if (!set || !set->ok()) {
-    // It has more turns to take; or gave way; or has searched as many marks as
-    // one search may, and the next one goes on behind them.
-    if (set) {
-      ++gave_way_;
-      search_ = SearchTurns();
-    } else {
-      gave_way_ = 0;
-    }
-    queue_->PostSearch(kSecondSearches, [this] { TakeTurn(); });
+  const std::optional<core::CandidateSet> set = search_.TakeTurn(*node);
+  if (!set) {
+    PostTurn();
     return;
   }
   --allowed_;
   if (policy_.monitor != nullptr) policy_.monitor->SearchedAgain();
-  RunStep([this, answer = Read(**set)] { return Compare(answer); },
+  RunStep([this, answer = Read(*set)] { return Compare(answer); },
           [this](bool ok) {
             if (!ok) return;
             is_at_work_ = false;
@@ -314,14 +307,60 @@ SecondSearches::Answer SecondSearches::Read(
   const double keep = vehicle_->head.config().keep_probability;
   Answer answer;
   answer.sequence = waiting_.back().sequence;
+  const CheckScope* const scope = search_.scope().get();
   answer.bytes = changes_->codec()->EncodeFound(vehicle_->View(), set,
-                                                search_.all_turns());
+                                                search_.duration(), scope);
   for (const core::Candidate& candidate : set.candidates) {
-    answer.found.push_back({candidate.rank, PoseOf(graph, candidate.matched),
-                            ProbabilityOf(candidate),
-                            IsWorthKeeping(candidate, keep)});
+    Found& found = answer.found.emplace_back();
+    found.candidate.latest_rank = candidate.rank;
+    found.candidate.probability = ProbabilityOf(candidate);
+    SetMatch(graph, candidate, scope, &found.candidate);
+    found.is_kept = IsWorthKeeping(candidate, keep);
+  }
+  if (scope == nullptr) return answer;
+  answer.scope = search_.scope();
+  for (std::size_t d = 0; d < scope->vehicles.size(); ++d) {
+    if (d == scope->search.asking) continue;
+    answer.others.emplace(scope->vehicles[d].uid,
+                          &scope->search.drives->view(d).graph);
+  }
+  for (const core::UnsearchedDrive& unsearched : set.unsearched) {
+    answer.others.erase(scope->vehicles[unsearched.drive].uid);
   }
   return answer;
+}
+
+const core::PoseGraph* SecondSearches::GraphOf(const StoredCandidate& candidate,
+                                               const Answer& answer) const {
+  if (candidate.is_own()) return &vehicle_->loaded->graph();
+  const auto other = answer.others.find(candidate.matched_uid);
+  return other == answer.others.end() ? nullptr : other->second;
+}
+
+std::vector<std::optional<SecondSearches::Found>> SecondSearches::TakeSame(
+    const StoredCheck& check, const Answer& answer,
+    std::vector<Found>* found) const {
+  std::vector<std::optional<Found>> same(check.candidates.size());
+  for (std::size_t i = 0; i < check.candidates.size(); ++i) {
+    const StoredCandidate& kept = check.candidates[i];
+    const core::PoseGraph* const graph = GraphOf(kept, answer);
+    if (graph == nullptr) continue;
+    const double place = TravelledAt(*graph, kept.matched_sequence);
+    const auto away = [&](const Found& one) {
+      if (one.candidate.matched_uid != kept.matched_uid) return kElsewhere;
+      return std::abs(TravelledAt(*graph, one.candidate.matched_sequence) -
+                      place);
+    };
+    const auto nearest = std::min_element(
+        found->begin(), found->end(),
+        [&](const Found& a, const Found& b) { return away(a) < away(b); });
+    if (nearest == found->end() || away(*nearest) > core::kPlaceRadiusMeters) {
+      continue;
+    }
+    same[i] = *nearest;
+    found->erase(nearest);
+  }
+  return same;
 }
 
 absl::StatusOr<ChecksWrite> SecondSearches::Compare(const Answer& answer) {
@@ -340,32 +379,18 @@ absl::StatusOr<ChecksWrite> SecondSearches::Compare(const Answer& answer) {
   std::optional<StoredCheck> check = changes_->Read(record);
   if (!check) return write;
 
-  // Each candidate that is kept is the nearest one that was found, if any lies
-  // at its place.
   std::vector<Found> found = answer.found;
-  std::vector<std::optional<Found>> same(check->candidates.size());
-  for (std::size_t i = 0; i < check->candidates.size(); ++i) {
-    const double place =
-        changes_->TravelledAt(check->candidates[i].matched_sequence);
-    const auto away = [&](const Found& one) {
-      return std::abs(changes_->TravelledAt(one.matched_sequence) - place);
-    };
-    const auto nearest = std::min_element(
-        found.begin(), found.end(),
-        [&](const Found& a, const Found& b) { return away(a) < away(b); });
-    if (nearest == found.end() || away(*nearest) > core::kPlaceRadiusMeters) {
-      continue;
-    }
-    same[i] = *nearest;
-    found.erase(nearest);
-  }
+  const std::vector<std::optional<Found>> same =
+      TakeSame(*check, answer, &found);
   check->latest = answer.bytes;
   check->stale = false;
   const std::int64_t now_ns = vehicle_->clock();
   for (std::size_t i = 0; i < same.size(); ++i) {
     StoredCandidate& candidate = check->candidates[i];
-    candidate.latest_rank = same[i] ? same[i]->rank : 0;
-    candidate.probability = same[i] ? same[i]->probability : 0.0;
+    candidate.latest_rank = same[i] ? same[i]->candidate.latest_rank : 0;
+    // What was not searched is as probable as it was.
+    if (GraphOf(candidate, answer) == nullptr) continue;
+    candidate.probability = same[i] ? same[i]->candidate.probability : 0.0;
     candidate.value = changes_->ValueOf(record.sequence, candidate);
   }
   for (std::size_t i = 0; i < same.size(); ++i) {
@@ -374,6 +399,7 @@ absl::StatusOr<ChecksWrite> SecondSearches::Compare(const Answer& answer) {
     const bool is_open = candidate.state == CandidateState::kOpen;
     // One that closures contradict stays until somebody has looked.
     const bool goes = is_open && !is_kept &&
+                      GraphOf(candidate, answer) != nullptr &&
                       candidate.cause != CandidateCause::kContradiction;
     const bool comes_back = candidate.state == CandidateState::kWithdrawn &&
                             candidate.cause == CandidateCause::kSearch &&
@@ -386,11 +412,8 @@ absl::StatusOr<ChecksWrite> SecondSearches::Compare(const Answer& answer) {
   }
   for (const Found& one : found) {
     if (!one.is_kept) continue;
-    StoredCandidate& late = check->candidates.emplace_back();
+    StoredCandidate& late = check->candidates.emplace_back(one.candidate);
     late.number = static_cast<std::uint32_t>(check->candidates.size());
-    late.latest_rank = one.rank;
-    late.matched_sequence = one.matched_sequence;
-    late.probability = one.probability;
     late.cause = CandidateCause::kSearch;
     late.update_time_ns = now_ns;
     changes_->Decide(record.sequence, &late);

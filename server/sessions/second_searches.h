@@ -22,6 +22,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <map>
 #include <memory>
 #include <optional>
 #include <set>
@@ -30,12 +31,14 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "core/drive/pose_graph.h"
 #include "core/drive/suspects.h"
 #include "core/search/candidates/candidate.h"
 #include "server/sessions/check_basis.h"
 #include "server/sessions/check_changes.h"
 #include "server/sessions/check_monitor.h"
-#include "server/sessions/search_turns.h"
+#include "server/sessions/check_scopes.h"
+#include "server/sessions/check_search.h"
 #include "server/sessions/vehicle_queue.h"
 #include "server/sessions/vehicle_state.h"
 #include "server/storage/records.h"
@@ -49,6 +52,8 @@ inline constexpr int kMostChangesAllowed = 4;
 struct SecondSearchesPolicy {
   // As StoredChecksPolicy::max_search_steps.
   std::int64_t max_search_steps = 0;
+  // As StoredChecksPolicy::scopes.
+  CheckScopes* scopes = nullptr;
   // As StoredChecksPolicy::searches_per_change.
   int searches_per_change = kSearchesPerChange;
   // Null if nobody counts.
@@ -65,7 +70,10 @@ class SecondSearches {
         queue_(queue),
         changes_(changes),
         basis_(basis),
-        policy_(std::move(policy)) {}
+        policy_(std::move(policy)),
+        search_(vehicle, queue,
+                {"second searches", policy_.max_search_steps, policy_.scopes}) {
+  }
   ~SecondSearches() { NoteStale(0); }
 
   SecondSearches(const SecondSearches&) = delete;
@@ -74,7 +82,8 @@ class SecondSearches {
   // Looks whether something changed, and goes on. Call after a load and every
   // change; costs next to nothing where there is nothing to do.
   void Consider();
-  // Allows more searches, and to judge closures again; then as Consider().
+  // Allows more searches, also in a group that was not ready, and to judge
+  // closures again; then as Consider().
   void AllowMore();
   // Rows were stored that the last look may have missed.
   void LookAgain() { looks_again_ = true; }
@@ -91,14 +100,16 @@ class SecondSearches {
   };
   // A candidate of the search that is under way.
   struct Found {
-    int rank = 0;
-    std::uint64_t matched_sequence = 0;
-    double probability = 0.0;
+    StoredCandidate candidate;
     bool is_kept = false;
   };
   struct Answer {
     std::uint64_t sequence = 0;
     std::vector<Found> found;
+    // By uid, the graphs of the other vehicles that were searched.
+    std::map<std::string, const core::PoseGraph*> others;
+    // Keeps them.
+    CheckScopePtr scope;
     std::string bytes;
   };
 
@@ -117,8 +128,18 @@ class SecondSearches {
   // Gives up what was begun, until something calls Consider() again.
   void GiveUp();
   void Search();
+  void PostTurn();
   void TakeTurn();
   Answer Read(const core::CandidateSet& set) const;
+  // The graph in which the candidate's match lies; null where that was not
+  // searched.
+  const core::PoseGraph* GraphOf(const StoredCandidate& candidate,
+                                 const Answer& answer) const;
+  // By candidate of the check: the nearest one that was found, if any lies at
+  // its place, which is then taken from `found`.
+  std::vector<std::optional<Found>> TakeSame(const StoredCheck& check,
+                                             const Answer& answer,
+                                             std::vector<Found>* found) const;
   absl::StatusOr<ChecksWrite> Compare(const Answer& answer);
   void NoteStale(std::size_t count);
 
@@ -150,8 +171,9 @@ class SecondSearches {
   // ---- Searches
   // The most valuable last.
   std::vector<Waiting> waiting_;
-  SearchTurns search_;
-  int gave_way_ = 0;
+  // Its turns are one flow beside those of all callers, whichever vehicle they
+  // are of.
+  CheckSearch search_;
 
   std::size_t stale_ = 0;
   std::atomic<bool> is_behind_{false};

@@ -18,9 +18,6 @@ namespace {
 using absl::StatusCode;
 using absl::StrCat;
 
-// The searches of debts are one flow beside those of all callers, so that they
-// take one share of the threads of searches, however many vehicles owe some.
-constexpr char kFlow[] = "stored checks";
 // Checks that are made ahead of their write.
 constexpr std::size_t kMostMade = 64;
 // Acknowledgements that are remembered to measure the delay of their checks.
@@ -37,6 +34,16 @@ absl::Status StoredChecks::CheckNotFound(const std::string& vehicle_id,
       StatusCode::kNotFound, "CHECK_NOT_FOUND",
       StrCat("vehicle '", vehicle_id, "' has no stored candidate ",
              named.number, " of a check at sequence ", named.check_sequence));
+}
+
+absl::Status StoredChecks::IsInOtherVehicle(const std::string& matched) {
+  return InvalidFields(
+      "INVALID_FIELD",
+      {{"candidate",
+        StrCat(
+            "it is a place in the history of vehicle '", matched,
+            "', on which no pair of this vehicle's poses decides: add a loop "
+            "closure between the two to their group")}});
 }
 
 bool StoredChecks::Stores() const {
@@ -72,6 +79,7 @@ void StoredChecks::Consider() {
     landed_.clear();
     NoteDebt(0);
     is_unsettled_.store(false);
+    waits_for_group_.store(false);
     // What was owed is so no longer, and the store has to know.
     if (head.stores) WriteSoon();
     return;
@@ -86,9 +94,22 @@ void StoredChecks::Consider() {
                           vehicle_->head.durable_sequence());
   if (due) NoteLanded();
   if (!made_.empty() || !head.stores) WriteSoon();
-  if (!due || searching_ || made_.size() >= kMostMade) return;
+  if (!due || searching_ || made_.size() >= kMostMade || !search_.MayPost()) {
+    return;
+  }
   searching_ = true;
-  queue_->PostSearch(kFlow, [this] { TakeTurn(); });
+  waits_for_group_.store(false);
+  search_.Post([this] { TakeTurn(); },
+               [this] {
+                 searching_ = false;
+                 waits_for_group_.store(true);
+               });
+}
+
+void StoredChecks::SearchAgain() {
+  search_.TryAgain();
+  second_.AllowMore();
+  Consider();
 }
 
 void StoredChecks::TakeTurn() {
@@ -96,7 +117,7 @@ void StoredChecks::TakeTurn() {
   if (!changes_.MayWork() || !Stores()) return;
   const std::optional<core::DueCheck> due =
       vehicle_->loaded->NextCheck(made_to_);
-  if (!due) {
+  if (!due || !search_.is_ready()) {
     Consider();
     return;
   }
@@ -104,25 +125,10 @@ void StoredChecks::TakeTurn() {
       series_ != vehicle_->loaded.series()) {
     due_ = *due;
     series_ = vehicle_->loaded.series();
-    search_ = SearchTurns();
-    gave_way_ = 0;
+    search_.RestartTurns();
   }
-  core::SearchOptions options = vehicle_->head.config().drive.search;
-  options.max_comparisons = policy_.max_search_steps;
-  const bool gives_way = gave_way_ < kMostGivenWay;
-  const auto answer = search_.Take(vehicle_->View(), due_.node, options, [&] {
-    return gives_way && queue_->IsWanted();
-  });
-  if (!answer) {
-    gave_way_ = 0;
-  } else if (answer->ok()) {
-    Take(**answer);
-  } else {
-    // It gave way, or has searched as many marks as one search may: the next
-    // one goes on behind them.
-    ++gave_way_;
-    search_ = SearchTurns();
-  }
+  const auto found = search_.TakeTurn(due_.node);
+  if (found) Take(*found);
   Consider();
 }
 
@@ -137,7 +143,7 @@ void StoredChecks::Take(const core::CandidateSet& set) {
     StoredCandidate& kept = made.check.candidates.emplace_back();
     kept.number = static_cast<std::uint32_t>(made.check.candidates.size());
     kept.rank = candidate.rank;
-    kept.matched_sequence = PoseOf(graph, candidate.matched);
+    SetMatch(graph, candidate, search_.scope().get(), &kept);
     kept.probability = ProbabilityOf(candidate);
   }
   if (policy_.monitor != nullptr) {
@@ -146,13 +152,12 @@ void StoredChecks::Take(const core::CandidateSet& set) {
   if (!made.check.candidates.empty()) {
     made.check.basis = basis_.Of(made.sequence, made.check.candidates);
     made.version = basis_.version();
-    made.check.found = changes_.codec()->EncodeFound(vehicle_->View(), set,
-                                                     search_.all_turns());
+    made.check.found = changes_.codec()->EncodeFound(
+        vehicle_->View(), set, search_.duration(), search_.scope().get());
   }
   made_to_ = made.sequence;
   made_.push_back(std::move(made));
-  search_ = SearchTurns();
-  gave_way_ = 0;
+  search_.Restart();
 }
 
 void StoredChecks::DropStored() {
@@ -444,6 +449,9 @@ absl::StatusOr<std::optional<ChecksWrite>> StoredChecks::WithPair(
       const bool is_named = named && named->check_sequence == record.sequence &&
                             named->number == candidate.number;
       is_named_found = is_named_found || is_named;
+      if (is_named && !candidate.is_own()) {
+        return IsInOtherVehicle(candidate.matched_vehicle);
+      }
       const bool is_undecided = candidate.state == CandidateState::kOpen ||
                                 candidate.state == CandidateState::kWithdrawn;
       // A pair that is there has decided what lies at its places, but for what
@@ -454,7 +462,7 @@ absl::StatusOr<std::optional<ChecksWrite>> StoredChecks::WithPair(
           (is_named && !is_decided) ||
           (is_undecided && is_there && candidate.contradicted == pair.id) ||
           (is_undecided && !is_there &&
-           changes_.IsPair(pair, record.sequence, candidate.matched_sequence));
+           changes_.IsPair(pair, record.sequence, candidate));
       if (is_meant) changes_.Change(record, &*check, i, transition, &write);
     }
   }

@@ -31,7 +31,8 @@
 #include "server/sessions/check_changes.h"
 #include "server/sessions/check_codec.h"
 #include "server/sessions/check_monitor.h"
-#include "server/sessions/search_turns.h"
+#include "server/sessions/check_scopes.h"
+#include "server/sessions/check_search.h"
 #include "server/sessions/second_searches.h"
 #include "server/sessions/vehicle_queue.h"
 #include "server/sessions/vehicle_state.h"
@@ -50,6 +51,9 @@ struct StoredChecksPolicy {
   const CheckCodec* codec = nullptr;
   // The most comparisons of one search; a check that needs more finds nothing.
   std::int64_t max_search_steps = std::numeric_limits<std::int64_t>::max();
+  // Null if checks search no groups, whatever vehicles' settings say. Outlives
+  // the sessions.
+  CheckScopes* scopes = nullptr;
   // Null if nobody counts.
   std::shared_ptr<CheckMonitor> monitor = nullptr;
   // How often a vehicle in memory is looked through for checks that are kept no
@@ -72,8 +76,10 @@ class StoredChecks {
         changes_(vehicle, policy_.codec),
         basis_(vehicle),
         second_(vehicle, queue, &changes_, &basis_,
-                {policy_.max_search_steps, policy_.searches_per_change,
-                 policy_.monitor}) {}
+                {policy_.max_search_steps, policy_.scopes,
+                 policy_.searches_per_change, policy_.monitor}),
+        search_(vehicle, queue,
+                {"stored checks", policy_.max_search_steps, policy_.scopes}) {}
   ~StoredChecks() { NoteDebt(0); }
 
   StoredChecks(const StoredChecks&) = delete;
@@ -91,10 +97,13 @@ class StoredChecks {
   // way.
   void Settle(std::function<void()> then);
 
-  // Second searches (second_searches.h) that wait until more are allowed, and
-  // that: from any thread; on the strand.
-  bool has_second_searches() const { return second_.is_behind(); }
-  void AllowSecondSearches() { second_.AllowMore(); }
+  // Whether searches wait: for their group's histories, or, second ones
+  // (second_searches.h), until more are allowed. From any thread.
+  bool has_waiting_searches() const {
+    return waits_for_group_.load() || second_.is_behind();
+  }
+  // Has those that wait go on.
+  void SearchAgain();
 
   // The checks that are owed. From any thread.
   std::int64_t debt() const { return debt_.load(); }
@@ -106,7 +115,9 @@ class StoredChecks {
   // pair's, along the path, and `named`, whatever it is. One that `is_there` is
   // upheld: it decides on `named`, and on those that were opened again because
   // others contradict it. Nothing if there are none. NOT_FOUND
-  // (CHECK_NOT_FOUND) if `named` is not stored. Reads the store. REQUIRES:
+  // (CHECK_NOT_FOUND) if `named` is not stored, INVALID_ARGUMENT
+  // (INVALID_FIELD) if it is in the history of another vehicle, on which pairs
+  // never decide. Reads the store. REQUIRES:
   // nothing else of the vehicle is written until the write that it answers is.
   absl::StatusOr<std::optional<ChecksWrite>> WithPair(
       PairKind kind, const PosePairRecord& pair, bool is_there,
@@ -122,6 +133,7 @@ class StoredChecks {
   EventRecord Farewell() const;
 
  private:
+  static absl::Status IsInOtherVehicle(const std::string& matched);
   // A check that was made and is not known to be stored.
   struct Made {
     std::uint64_t sequence = 0;
@@ -170,8 +182,9 @@ class StoredChecks {
   bool searching_ = false;
   core::DueCheck due_;
   std::uint64_t series_ = 0;
-  SearchTurns search_;
-  int gave_way_ = 0;
+  // Its turns are one flow beside those of all callers, so that the checks of
+  // all vehicles take one share of the threads of searches.
+  CheckSearch search_;
   // The last pose whose check was made, stored or not.
   std::uint64_t made_to_ = 0;
   std::vector<Made> made_;
@@ -190,6 +203,7 @@ class StoredChecks {
   std::uint64_t tidy_excess_ = 0;
   std::atomic<std::int64_t> debt_{0};
   std::atomic<bool> is_unsettled_{false};
+  std::atomic<bool> waits_for_group_{false};
 };
 
 }  // namespace revisit::server

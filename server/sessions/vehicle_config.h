@@ -42,6 +42,9 @@ struct VehicleConfig {
   ChecksKept checks = ChecksKept::kOnRequest;
   // Probability from which on a candidate of a stored check is kept.
   double keep_probability = 0.05;
+  // The id of the group whose members' histories stored checks search too;
+  // empty for none.
+  std::string check_group;
   std::int64_t create_time_ns = 0;  // Since the Unix epoch.
   // Writes are refused until an operator accepts the loss.
   bool data_loss = false;

@@ -265,12 +265,12 @@ void VehicleSession::PayChecks() {
 void VehicleSession::SearchAgain() {
   state_->queue.Submit(
       {Turn::kRead, [checks = &state_->checks](const absl::Status& status) {
-         if (status.ok()) checks->AllowSecondSearches();
+         if (status.ok()) checks->SearchAgain();
        }});
 }
 
-bool VehicleSession::has_second_searches() const {
-  return state_->checks.has_second_searches();
+bool VehicleSession::has_waiting_searches() const {
+  return state_->checks.has_waiting_searches();
 }
 
 bool VehicleSession::has_unsettled_checks() const {

@@ -149,9 +149,10 @@ class VehicleSession {
   // Goes on with the checks that the vehicle owes, also where a write of them
   // failed, or the vehicle was loaded while nothing could be answered.
   void PayChecks();
-  // Allows more second searches; whether some wait for that.
+  // Has searches of checks go on that wait (StoredChecks::SearchAgain());
+  // whether some do.
   void SearchAgain();
-  bool has_second_searches() const;
+  bool has_waiting_searches() const;
   // Whether the store does not know yet that no check is owed.
   bool has_unsettled_checks() const;
   // Tells it, then calls `then`.

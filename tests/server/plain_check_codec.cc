@@ -15,12 +15,14 @@ constexpr const char* kStates[] = {"open", "confirmed", "rejected",
 
 std::string PlainCheckCodec::EncodeFound(const VehicleView&,
                                          const core::CandidateSet& set,
-                                         std::chrono::nanoseconds) const {
+                                         std::chrono::nanoseconds,
+                                         const CheckScope* scope) const {
   std::ostringstream line;
   line << "at " << set.query.value_or(-1) << std::hexfloat;
   for (const core::Candidate& candidate : set.candidates) {
     line << " " << candidate.rank << ":" << candidate.matched << ":"
          << (candidate.relative ? candidate.relative->probability : -1.0);
+    if (candidate.drive) line << ":" << scope->vehicles[*candidate.drive].id;
   }
   return line.str();
 }
@@ -38,7 +40,9 @@ std::string PlainCheckCodec::EncodeCheck(const StoredCheck& check) const {
          << static_cast<int>(candidate.cause) << " " << candidate.update_time_ns
          << " " << candidate.latest_rank << " " << candidate.probability << " "
          << candidate.value << " '" << candidate.actor << "' '"
-         << candidate.decision << "' '" << candidate.contradicted << "'\n";
+         << candidate.decision << "' '" << candidate.contradicted << "' '"
+         << candidate.matched_vehicle << "' '" << candidate.matched_uid
+         << "'\n";
   }
   return text.str();
 }
@@ -65,7 +69,8 @@ absl::StatusOr<StoredCheck> PlainCheckCodec::DecodeCheck(
           candidate.matched_sequence >> state >> cause >>
           candidate.update_time_ns >> candidate.latest_rank >> probability >>
           value >> candidate.actor >> candidate.decision >>
-          candidate.contradicted)) {
+          candidate.contradicted >> candidate.matched_vehicle >>
+          candidate.matched_uid)) {
       return Corrupt("no check");
     }
     text.ignore();
@@ -74,6 +79,8 @@ absl::StatusOr<StoredCheck> PlainCheckCodec::DecodeCheck(
     candidate.actor = unquoted(candidate.actor);
     candidate.decision = unquoted(candidate.decision);
     candidate.contradicted = unquoted(candidate.contradicted);
+    candidate.matched_vehicle = unquoted(candidate.matched_vehicle);
+    candidate.matched_uid = unquoted(candidate.matched_uid);
     candidate.probability = std::strtod(probability.c_str(), nullptr);
     candidate.value = std::strtod(value.c_str(), nullptr);
   }

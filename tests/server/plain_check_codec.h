@@ -13,14 +13,16 @@
 namespace revisit::server {
 
 // What was found is one line: the query's node, and each candidate's rank,
-// matched node and probability, exactly. A check is that line, and a line for
+// matched node and probability, exactly, and the id of another vehicle in which
+// the node is. A check is that line, and a line for
 // each candidate that is kept. An event is a line: "truck 25/1 confirmed by a,
 // said bob: " and what was found; or "truck is deleted".
 class PlainCheckCodec final : public CheckCodec {
  public:
   std::string EncodeFound(const VehicleView& view,
                           const core::CandidateSet& set,
-                          std::chrono::nanoseconds duration) const override;
+                          std::chrono::nanoseconds duration,
+                          const CheckScope* scope) const override;
   std::string EncodeCheck(const StoredCheck& check) const override;
   absl::StatusOr<StoredCheck> DecodeCheck(
       const std::string& payload) const override;

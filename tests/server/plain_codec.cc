@@ -48,6 +48,7 @@ std::vector<std::string> Lines(const std::string& payload) {
 
 std::string PlainCodec::EncodeVehicle(const VehicleConfig& config) const {
   std::ostringstream line;
+  if (!config.check_group.empty()) line << "in " << config.check_group << " ";
   if (config.checks == ChecksKept::kStored) {
     line << "stores " << std::hexfloat << config.keep_probability << " ";
   }
@@ -78,6 +79,7 @@ absl::StatusOr<VehicleConfig> PlainCodec::DecodeVehicle(
   bool is_geodetic = false;
   bool has_origin = false;
   if (!(stream >> word)) return Damaged();
+  if (word == "in" && !(stream >> config.check_group >> word)) return Damaged();
   if (word == "stores") {
     config.checks = ChecksKept::kStored;
     if (!ReadDouble(stream, &config.keep_probability) || !(stream >> word)) {

@@ -140,6 +140,15 @@ struct ChecksColumns {
   const bool stale;
 };
 
+// The matched pose, as `link add` takes it where it is of another vehicle.
+std::string MatchText(const v1::Candidate& evidence) {
+  const std::string sequence = absl::StrCat(evidence.matched().sequence());
+  return evidence.matched_vehicle().empty()
+             ? sequence
+             : absl::StrCat(Printable(IdOf(evidence.matched_vehicle())), "@",
+                            sequence);
+}
+
 std::vector<std::string> ChecksRow(const v1::Check& check,
                                    const ChecksColumns& columns,
                                    const ChecksOptions& options) {
@@ -161,8 +170,7 @@ std::vector<std::string> ChecksRow(const v1::Check& check,
   const v1::CheckCandidate* const shown = ShownOf(options, check);
   const v1::Candidate* const evidence =
       shown == nullptr ? nullptr : EvidenceOf(check, *shown);
-  row.push_back(
-      evidence == nullptr ? "-" : absl::StrCat(evidence->matched().sequence()));
+  row.push_back(evidence == nullptr ? "-" : MatchText(*evidence));
   row.push_back(evidence == nullptr || !evidence->has_probability()
                     ? "-"
                     : Fixed(evidence->probability(), 4));

@@ -30,7 +30,7 @@ struct SettingFlag {
   // The field of VehicleSettings, and of CandidateOptions if it has one of this
   // name: then a search may replace the setting. A dot leads into a message.
   const char* field;
-  // Stands for the number in the help; empty if the field holds none.
+  // Stands for the number or name in the help; empty if the field holds none.
   const char* unit;
   const char* help;
   // The default that the help states and that evaluations set. Where a request
@@ -92,6 +92,10 @@ constexpr SettingFlag kFlags[] = {
      "on-request"},
     {"--keep-probability", "keep_probability", "P",
      "Stored checks: least probability of a candidate that is kept", "0.05"},
+    {"--check-group", "check_group", "GROUP",
+     "Stored checks: look in the histories of this group's vehicles too; empty "
+     "for no group",
+     "none"},
     {"--max-step", "max_step_meters", "M",
      "Longest step between two poses; a longer one is a jump", "100"},
     {"--apply-inflation,!--no-apply-inflation", "apply_inflation", "",
@@ -183,6 +187,11 @@ struct BoundSetting {
     Message* holder = field.HolderIn(settings);
     holder->GetReflection()->SetBool(holder, field.field, value);
   }
+  void SetGroup(const std::string& id) const {
+    Message* holder = field.HolderIn(settings);
+    holder->GetReflection()->SetString(
+        holder, field.field, id.empty() ? std::string() : GroupName(id));
+  }
   void SetEnum(int value) const {
     Message* holder = field.HolderIn(settings);
     holder->GetReflection()->SetEnumValue(holder, field.field, value);
@@ -221,6 +230,14 @@ Flag AddSettingFlag(const Command& command, const BoundSetting& setting) {
           row.flag, row.range,
           [setting](std::int64_t value) { setting.SetWholeNumber(value); },
           help);
+    case FieldDescriptor::CPPTYPE_STRING:
+      return command.AddText(
+          row.flag, row.unit,
+          [setting](const std::string& id) {
+            setting.SetGroup(id);
+            return std::string();
+          },
+          help);
     case FieldDescriptor::CPPTYPE_MESSAGE:
       return command.AddNumber(
           row.flag, row.unit,
@@ -241,7 +258,7 @@ bool IsRetention(const BoundSetting& setting) {
 bool IsOfDrives(const BoundSetting& setting) {
   const std::string field = setting.row->field;
   return !IsRetention(setting) && field != "checks" &&
-         field != "keep_probability";
+         field != "keep_probability" && field != "check_group";
 }
 
 // Whether the message says anything of it, unlike that of an older server.
@@ -270,6 +287,8 @@ void SetUsual(const BoundSetting& setting) {
       return setting.SetBool(std::string(usual) == "true");
     case FieldDescriptor::CPPTYPE_INT32:
       return setting.SetWholeNumber(std::strtol(usual, nullptr, 10));
+    case FieldDescriptor::CPPTYPE_STRING:
+      return setting.SetGroup("");
     default:
       return setting.SetNumber(std::strtod(usual, nullptr));
   }
@@ -314,6 +333,10 @@ std::string ValueText(const BoundSetting& setting) {
       return fields.GetBool(holder, field) ? "true" : "false";
     case FieldDescriptor::CPPTYPE_INT32:
       return absl::StrCat(fields.GetInt32(holder, field));
+    case FieldDescriptor::CPPTYPE_STRING: {
+      const std::string group = fields.GetString(holder, field);
+      return group.empty() ? setting.row->usual : IdOf(group);
+    }
     case FieldDescriptor::CPPTYPE_MESSAGE:
       return fields.HasField(holder, field)
                  ? google::protobuf::util::TimeUtil::ToString(
@@ -407,6 +430,8 @@ std::vector<std::pair<std::string, std::string>> DescribeSettings(
       {"check interval", Meters(settings.check_interval_meters())},
       {"checks", NameOf(settings.checks())},
       {"keep probability", Fixed(settings.keep_probability(), 4)},
+      {"check group",
+       settings.check_group().empty() ? "none" : IdOf(settings.check_group())},
       {"maximal step", Meters(settings.max_step_meters())},
       {"gate probability", Fixed(settings.gate_probability(), 4)},
       {"acceptance probability", Fixed(settings.acceptance_probability(), 4)},

@@ -61,6 +61,26 @@ TEST(SettingsConversionTest, LeftOutMeansDefault) {
       << settings.DebugString();
 }
 
+TEST(SettingsConversionTest, AGroupOfChecksIsNamedAndKnownByItsId) {
+  v1::VehicleSettings settings;
+  settings.set_check_group("groups/site");
+  const auto config = DecodeSettings(settings, FieldPath());
+  ASSERT_THAT(config, IsOk());
+  EXPECT_EQ(config->check_group, "site");
+  v1::VehicleSettings again;
+  EncodeSettings(*config, &again);
+  EXPECT_EQ(again.check_group(), "groups/site");
+  for (const char* name : {"site", "groups/", "vehicles/site", "groups/A"}) {
+    settings.set_check_group(name);
+    EXPECT_THAT(DecodeSettings(settings, FieldPath()),
+                IsError(StatusCode::kInvalidArgument, "INVALID_RESOURCE_NAME",
+                        HasSubstr("check_group")));
+  }
+  settings.set_check_group("");
+  EncodeSettings(*DecodeSettings(settings, FieldPath()), &again);
+  EXPECT_FALSE(again.has_check_group());
+}
+
 TEST(SettingsConversionTest, NamesEverySettingThatIsWrong) {
   const auto settings = FromText<v1::VehicleSettings>(R"pb(
     state_space: 9

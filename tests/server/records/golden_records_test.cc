@@ -449,6 +449,11 @@ constexpr char kGoldenSecondCheck[] =
     "0a05666f756e64122808011803200128073a0210054806500259000000000000"
     "e83f6100000000000004406a046c696e6b1a0375696422066c61746573742988"
     "776655443322113001";
+// The same of a place in the history of another vehicle.
+constexpr char kGoldenGroupCheck[] =
+    "0a05666f756e64123008011803200128073a0210054806500259000000000000"
+    "e83f6100000000000004406a046c696e6b720376616e7a01751a037569642206"
+    "6c61746573742988776655443322113001";
 constexpr char kGoldenEvent[] =
     "0a05747275636b12037569641a4008071230080110021803200228023209746f"
     "6b656e3a626f623a1108adfaa7b3fbffffffff0110ebf9fba10342046c696e6b"
@@ -463,6 +468,20 @@ TEST(GoldenRecordTest, ChecksAndEventsAreWrittenAsEver) {
   EXPECT_EQ(Hex(EncodeEventRecord(event)), kGoldenEvent);
   event.candidate.reset();
   EXPECT_EQ(Hex(EncodeEventRecord(event)), kGoldenFarewell);
+}
+
+TEST(GoldenRecordTest, PlacesInOtherVehiclesAreWrittenAndReadAsEver) {
+  StoredCheck check = GoldenSecondCheck();
+  check.candidates[0].matched_vehicle = "van";
+  check.candidates[0].matched_uid = "u";
+  EXPECT_EQ(Hex(EncodeCheckRecord(check)), kGoldenGroupCheck);
+  const auto read = DecodeCheckRecord(Bytes(kGoldenGroupCheck));
+  ASSERT_THAT(read, IsOk());
+  EXPECT_EQ(read->candidates.at(0).matched_vehicle, "van");
+  EXPECT_EQ(read->candidates.at(0).matched_uid, "u");
+  EXPECT_FALSE(read->candidates.at(0).is_own());
+  EXPECT_TRUE(
+      DecodeCheckRecord(Bytes(kGoldenCheck))->candidates.at(0).is_own());
 }
 
 TEST(GoldenRecordTest, ChecksThatWereSearchedAgainAreReadAsEver) {

@@ -68,6 +68,7 @@ TEST(SettingsConversionTest, EverySettingSurvivesTheStore) {
     }
     checks: STORED_CHECKS_STORED
     keep_probability: 0.25
+    check_group: "groups/site"
   )pb");
   auto config = DecodeSettings(settings, FieldPath());
   ASSERT_THAT(config, IsOk());

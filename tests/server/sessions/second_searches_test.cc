@@ -52,7 +52,7 @@ class SecondSearchesTest : public StoredChecksTest {
     return Eventually([this] {
       session_->SearchAgain();
       ReadNow(*session_).IgnoreError();
-      if (session_->has_second_searches()) return false;
+      if (session_->has_waiting_searches()) return false;
       const auto stored = Stored();
       return std::none_of(stored.begin(), stored.end(),
                           [](const auto& one) { return one.second.stale; });
@@ -113,7 +113,7 @@ class SecondSearchesTest : public StoredChecksTest {
         const auto set = view->search->At(*graph.NodeAtOrBefore(sequence),
                                           view->config.drive.search, nullptr);
         Anew& one = fresh.anew[sequence];
-        one.bytes = check_codec_.EncodeFound(*view, *set, {});
+        one.bytes = check_codec_.EncodeFound(*view, *set, {}, nullptr);
         for (const core::Candidate& candidate : set->candidates) {
           if (IsWorthKeeping(candidate, view->config.keep_probability)) {
             one.kept_at.push_back(
@@ -307,7 +307,7 @@ TEST_F(SecondSearchesTest, AChangeAllowsSoManySearchesAndTheRestWaits) {
                 stored.begin(), stored.end(),
                 [](const auto& one) { return one.second.stale; })),
             all - most);
-  EXPECT_TRUE(session_->has_second_searches());
+  EXPECT_TRUE(session_->has_waiting_searches());
   ASSERT_TRUE(IsFresh());
   EXPECT_GE(searched() - before, all);
   ExpectAsSearchedAnew();
@@ -340,7 +340,7 @@ TEST_F(SecondSearchesTest, IsNotStaleWhereTheVehicleIsAgainWhatItWas) {
   ASSERT_TRUE(Eventually([&] { return stale() > 0; }));
   ASSERT_THAT(DeletePairNow(*session_, PairKind::kLoopClosure, "link"), IsOk());
   EXPECT_TRUE(Eventually([&] { return stale() == 0; }));
-  EXPECT_TRUE(Eventually([&] { return !session_->has_second_searches(); }));
+  EXPECT_TRUE(Eventually([&] { return !session_->has_waiting_searches(); }));
 }
 
 TEST_F(SecondSearchesTest, EndsAtWhatSearchesFindWhateverComesBetween) {

@@ -125,7 +125,8 @@ class StoredChecksTest : public ::testing::Test {
                                    view->config.keep_probability;
         }
         if (is_kept) {
-          found[due->sequence] = check_codec_.EncodeFound(*view, *set, {});
+          found[due->sequence] =
+              check_codec_.EncodeFound(*view, *set, {}, nullptr);
         }
       }
       answer.Set(std::move(found));

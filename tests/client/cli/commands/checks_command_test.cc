@@ -52,6 +52,15 @@ TEST_F(ChecksCommandTest, ListOfAllVehiclesNamesThem) {
             v1::CANDIDATE_STATE_OPEN);
 }
 
+TEST_F(ChecksCommandTest, AMatchInAnotherVehicleNamesIt) {
+  v1::Check check = CheckOf("a", 90, {v1::CANDIDATE_STATE_OPEN});
+  check.mutable_candidates()->mutable_candidates(0)->set_matched_vehicle(
+      "vehicles/van");
+  server_.set_checks({check});
+  ASSERT_TRUE(RunChecksList(client_, {"a", {}}, Text()).ok());
+  EXPECT_THAT(out_.str(), HasSubstr("  van@10  "));
+}
+
 TEST_F(ChecksCommandTest, NamesAndJsonAreThoseOfTheResources) {
   ASSERT_TRUE(RunChecksList(client_, {"-", {}}, As(OutputFormat::kName)).ok());
   EXPECT_EQ(out_.str(),

@@ -42,6 +42,26 @@ TEST_F(VehicleCommandTest, ChecksAreStoredWhereAFlagSaysSo) {
               ElementsAre("checks=stored", "keep-probability=0.2"));
 }
 
+TEST_F(VehicleCommandTest, ChecksSearchInTheGroupThatAFlagNames) {
+  v1::VehicleSettings settings;
+  CommandLine line({"bar", "", "", ""});
+  AddVehicleSettings(line.program(), &settings);
+  line.program().RunsAlone([](const Terminal&) { return absl::OkStatus(); });
+  const char* words[] = {"bar", "--check-group", "depot"};
+  ASSERT_TRUE(line.Parse(3, words).ok());
+  EXPECT_EQ(settings.check_group(), "groups/depot");
+  EXPECT_THAT(UnusualSettings(settings), ElementsAre("check-group=depot"));
+  const char* none[] = {"bar", "--check-group", ""};
+  CommandLine again({"bar", "", "", ""});
+  AddVehicleSettings(again.program(), &settings);
+  again.program().RunsAlone([](const Terminal&) { return absl::OkStatus(); });
+  ASSERT_TRUE(again.Parse(3, none).ok());
+  // An update names it, so that the vehicle has none from then on.
+  EXPECT_TRUE(settings.has_check_group());
+  EXPECT_EQ(settings.check_group(), "");
+  EXPECT_THAT(UnusualSettings(settings), IsEmpty());
+}
+
 TEST_F(VehicleCommandTest, SettingsThatAServerDoesNotTellAreNotUnusual) {
   EXPECT_THAT(UnusualSettings({}), IsEmpty());
   v1::VehicleSettings drive;

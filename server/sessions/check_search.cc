@@ -1,0 +1,91 @@
+#include "server/sessions/check_search.h"
+
+#include <memory>
+
+#include "absl/status/statusor.h"
+
+namespace revisit::server {
+namespace {
+
+// After a scope was not ready, so that each append does not ask for it.
+constexpr std::chrono::seconds kTryAgainAfter{1};
+
+}  // namespace
+
+void CheckSearch::Restart() {
+  RestartTurns();
+  ready_for_.reset();
+  scope_.reset();
+}
+
+void CheckSearch::RestartTurns() {
+  turns_ = SearchTurns();
+  gave_way_ = 0;
+}
+
+std::string CheckSearch::Group() const {
+  return policy_.scopes == nullptr ? std::string()
+                                   : vehicle_->head.config().check_group;
+}
+
+bool CheckSearch::MayPost() const { return Clock::now() >= not_before_; }
+
+void CheckSearch::Post(std::function<void()> turn,
+                       std::function<void()> not_ready) {
+  if (const std::string group = Group(); ready_for_ != group) {
+    Restart();
+    if (!group.empty()) {
+      Prepare(group, std::move(turn), std::move(not_ready));
+      return;
+    }
+    ready_for_ = group;
+  }
+  queue_->PostSearch(policy_.flow, std::move(turn));
+}
+
+void CheckSearch::Prepare(const std::string& group, std::function<void()> turn,
+                          std::function<void()> not_ready) {
+  const auto scope = std::make_shared<CheckScopePtr>();
+  const WriteDone on_strand = queue_->OnStrand(
+      [this, group, scope, turn = std::move(turn),
+       not_ready = std::move(not_ready)](const absl::Status& status) {
+        if (!status.ok()) {
+          not_before_ = Clock::now() + kTryAgainAfter;
+          not_ready();
+          return;
+        }
+        ready_for_ = group;
+        scope_ = std::move(*scope);
+        queue_->PostSearch(policy_.flow, turn);
+      });
+  policy_.scopes->Prepare(
+      {group, vehicle_->id, vehicle_->head.key()},
+      [scope, on_strand](absl::StatusOr<CheckScopePtr> ready) {
+        if (ready.ok()) *scope = *std::move(ready);
+        on_strand(ready.status());
+      });
+}
+
+std::optional<core::CandidateSet> CheckSearch::TakeTurn(core::NodeIndex node) {
+  core::SearchOptions options = vehicle_->head.config().drive.search;
+  options.max_comparisons = policy_.max_steps;
+  const bool gives_way = gave_way_ < kMostGivenWay;
+  auto answer = turns_.Take(
+      vehicle_->View(), node, options,
+      [&] { return gives_way && queue_->IsWanted(); },
+      scope_ == nullptr ? nullptr : &scope_->search);
+  if (!answer) {
+    gave_way_ = 0;
+    return std::nullopt;
+  }
+  if (!answer->ok()) {
+    // It gave way, or has searched as many marks as one search may: the next
+    // one goes on behind them.
+    ++gave_way_;
+    turns_ = SearchTurns();
+    return std::nullopt;
+  }
+  return **std::move(answer);
+}
+
+}  // namespace revisit::server

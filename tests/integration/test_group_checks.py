@@ -1,0 +1,293 @@
+"""Stored checks that search in the histories of a group's vehicles: found once, told
+once, and told only to those who may know of the other vehicle."""
+
+import contextlib
+
+import grpc
+import pytest
+from google.protobuf import field_mask_pb2
+
+from grouping import add_member, create_group, delete_group, remove_member
+from own_postgres import own_postgres
+from private_cluster import find_postgres
+from revisit_server import Server, run, wait_until
+from stubs import api
+from test_group_search import FRAMES, PARTS, datum_of, moved, ready, search
+from watching import list_checks, without_times
+from wire import append, batches, boreas, failure_of, get
+
+pytest_plugins = ("caller_identities",)
+
+# The one that is checked, and the one in whose history it is checked too.
+CHECKED, OTHER = "one", "two"
+HALF = 1000
+
+
+@pytest.fixture(name="drive", scope="module")
+def fixture_drive():
+    return boreas()[0]
+
+
+def name_of(vehicle, prefix=""):
+    return f"vehicles/{prefix}{vehicle}"
+
+
+def poses_of(drive, vehicle):
+    first, last = PARTS[vehicle]
+    return moved(drive[first:last], FRAMES[vehicle])
+
+
+def send(stub, vehicle, poses):
+    for batch in batches(poses, 256):
+        append(stub, vehicle, batch)
+
+
+def make_pair(stub, drive, prefix="", **settings):
+    """The vehicle that is checked, without poses, and the group."""
+    stub.CreateVehicle(api.CreateVehicleRequest(vehicle_id=prefix + OTHER))
+    send(stub, name_of(OTHER, prefix), poses_of(drive, OTHER))
+    group = create_group(stub, f"{prefix}site").name
+    settings.setdefault("check_group", group)
+    checked = stub.CreateVehicle(api.CreateVehicleRequest(
+        vehicle_id=prefix + CHECKED, vehicle=api.Vehicle(
+            settings=api.VehicleSettings(checks=api.STORED_CHECKS_STORED,
+                                         **settings)))).vehicle.name
+    for vehicle in (OTHER, CHECKED):
+        add_member(stub, group, name_of(vehicle, prefix), datum_of(FRAMES[vehicle]))
+    return checked, group
+
+
+def wait_until_paid(stub, vehicle):
+    wait_until(lambda: get(stub, vehicle).check_debt == 0, f"checks of {vehicle}")
+
+
+def told_since(stub, cursor, count, **filters):
+    events = []
+    for answer in stub.WatchCandidates(api.WatchCandidatesRequest(
+            cursor=cursor, filter=api.CandidateFilter(**filters)), timeout=60):
+        if answer.WhichOneof("event") == "candidate":
+            events.append(answer.candidate)
+        if len(events) == count:
+            return events
+    raise AssertionError(f"the watch ended after {len(events)} events")
+
+
+def evidence_of(check, state):
+    return next(one for one in check.candidates.candidates if one.rank == state.rank)
+
+
+def in_other(checks):
+    """(check, state, evidence) of the candidates in the history of another."""
+    return [(check, state, evidence_of(check, state)) for check in checks
+            for state in check.states if evidence_of(check, state).matched_vehicle]
+
+
+def as_found(found):
+    """Without what depends on when it was found."""
+    copy = without_times(found)
+    for searched in copy.searched:
+        searched.ClearField("lag")
+    return copy
+
+
+def expect_found_and_told_once(stub, checked, group, cursor):
+    checks, _ = list_checks(stub, checked)
+    assert in_other(checks)
+    for check in checks:
+        sequence = int(check.name.split("/")[-1])
+        found = ready(lambda sequence=sequence: search(
+            stub, checked.split("/")[1], sequence, group))
+        assert as_found(check.candidates) == as_found(found), check.name
+        assert [each.vehicle for each in check.candidates.searched] == [
+            name_of(OTHER)]
+    for _, state, evidence in in_other(checks):
+        assert evidence.matched_vehicle_uid == get(
+            stub, evidence.matched_vehicle).uid
+        assert state.value_square_meters == 0.0
+        assert state.state == api.CANDIDATE_STATE_OPEN
+    count = sum(len(check.states) for check in checks)
+    events = told_since(stub, cursor, count)
+    assert [event.number for event in events] == list(range(1, count + 1))
+    assert {event.candidate.name for event in events} == {
+        state.name for check in checks for state in check.states}
+    assert {(event.candidate.name, event.evidence.matched_vehicle)
+            for event in events if event.evidence.matched_vehicle} == {
+        (state.name, evidence.matched_vehicle)
+        for _, state, evidence in in_other(checks)}
+
+
+def first_cursor(stub):
+    return stub.ListChecks(api.ListChecksRequest(parent="vehicles/-")).watch_cursor
+
+
+@contextlib.contextmanager
+def shared_store():
+    with own_postgres() as postgres:
+        migrated = run("revisitd", "migrate", "--store",
+                       postgres.url("revisit_owner"))
+        assert migrated.returncode == 0, migrated.stderr
+        yield postgres.url("revisit"), ["--advertise-address", "host:1"]
+
+
+@contextlib.contextmanager
+def store_of(engine, directory):
+    if engine == "sqlite":
+        yield directory / "store", []
+        return
+    if find_postgres() is None:
+        pytest.skip("there is no PostgreSQL")
+    with shared_store() as shared:
+        yield shared
+
+
+@pytest.mark.parametrize("engine", ["sqlite", "postgresql"])
+def test_checks_find_places_in_the_histories_of_others_once(tmp_path, drive, engine):
+    with store_of(engine, tmp_path) as (store, flags):
+        poses = poses_of(drive, CHECKED)
+        with Server(store, *flags, log_path=tmp_path / "first.log") as server:
+            stub = server.stub()
+            checked, group = make_pair(stub, drive)
+            cursor = first_cursor(stub)
+            send(stub, checked, poses[:HALF])
+            wait_until_paid(stub, checked)
+            assert in_other(list_checks(stub, checked)[0])
+        # The other one's history has to be read from the store first: the checks wait
+        # for that, and the acknowledgements do not.
+        with Server(store, *flags, log_path=tmp_path / "second.log") as server:
+            stub = server.stub()
+            send(stub, checked, poses[HALF:])
+            wait_until_paid(stub, checked)
+            expect_found_and_told_once(stub, checked, group, cursor)
+
+
+def test_without_a_membership_the_own_history_alone_is_searched(tmp_path, drive):
+    with Server(tmp_path / "store") as server:
+        stub = server.stub()
+        plain = stub.CreateVehicle(api.CreateVehicleRequest(
+            vehicle_id="plain", vehicle=api.Vehicle(settings=api.VehicleSettings(
+                checks=api.STORED_CHECKS_STORED)))).vehicle.name
+        checked, group = make_pair(stub, drive)
+        remove_member(stub, f"{group}/members/{CHECKED}")
+        poses = poses_of(drive, CHECKED)
+        for vehicle in (plain, checked):
+            send(stub, vehicle, poses[:HALF])
+            wait_until_paid(stub, vehicle)
+        delete_group(stub, group)
+        for vehicle in (plain, checked):
+            send(stub, vehicle, poses[HALF:])
+            wait_until_paid(stub, vehicle)
+
+        def texts(vehicle):
+            return [str(without_times(check.candidates)).replace(vehicle, "it")
+                    for check in list_checks(stub, vehicle)[0]]
+
+        assert texts(plain)
+        assert texts(checked) == texts(plain)
+
+
+def test_a_group_beyond_the_limit_of_steps_finds_nothing(tmp_path, drive):
+    with Server(tmp_path / "store", "--max-search-steps", 1000) as server:
+        stub = server.stub()
+        checked, _ = make_pair(stub, drive)
+        send(stub, checked, poses_of(drive, CHECKED)[:HALF])
+        wait_until_paid(stub, checked)
+        assert not list_checks(stub, checked)[0]
+
+
+def test_who_may_not_read_the_other_vehicle_is_told_nothing_of_it(
+        token_server, called_by, drive):
+    everyone = called_by("acme")
+    # "acme-few" may read acme-1* alone.
+    other = everyone.CreateVehicle(api.CreateVehicleRequest(
+        vehicle_id="acme-2-van")).vehicle.name
+    send(everyone, other, poses_of(drive, OTHER))
+    group = create_group(everyone, "acme-1-site").name
+    checked = everyone.CreateVehicle(api.CreateVehicleRequest(
+        vehicle_id="acme-1-truck", vehicle=api.Vehicle(
+            settings=api.VehicleSettings(checks=api.STORED_CHECKS_STORED,
+                                         check_group=group)))).vehicle.name
+    add_member(everyone, group, other, datum_of(FRAMES[OTHER]))
+    add_member(everyone, group, checked, datum_of(FRAMES[CHECKED]))
+    cursor = first_cursor(everyone)
+    send(everyone, checked, poses_of(drive, CHECKED))
+    wait_until_paid(everyone, checked)
+
+    few = called_by("acme-few")
+    checks, _ = list_checks(everyone, checked)
+    hidden = {state.name for _, state, _ in in_other(checks)}
+    assert hidden
+    seen = [state for check in checks for state in check.states
+            if state.name not in hidden]
+    assert seen
+    for order in (api.LIST_CHECKS_ORDER_UNSPECIFIED, api.LIST_CHECKS_ORDER_BY_VALUE):
+        shown, _ = list_checks(few, checked, order=order)
+        assert "acme-2-van" not in str(shown)
+        assert sorted(state.name for check in shown for state in check.states) == (
+            sorted(state.name for state in seen))
+    assert "acme-2-van" not in str(list_checks(few)[0])
+    for check in checks:
+        request = api.GetCheckRequest(name=check.name)
+        left = [state for state in check.states if state.name not in hidden]
+        if left:
+            shown = few.GetCheck(request).check
+            assert list(shown.states) == left
+            assert "acme-2-van" not in str(shown)
+        else:
+            failure = failure_of(lambda request=request: few.GetCheck(request))
+            assert failure.reason == "CHECK_NOT_FOUND"
+    told = told_since(few, cursor, len(seen))
+    assert {event.candidate.name for event in told} == {
+        state.name for state in seen}
+    assert "acme-2-van" not in str(told)
+
+
+def test_who_sets_the_group_may_read_it_and_both_are_of_one_tenant(called_by):
+    acme, operator = called_by("acme"), called_by("op", groups=["operators"])
+    group = create_group(acme, "acme-9-site").name
+    foreign = create_group(called_by("umbra"), "umbra-9-site").name
+
+    def creating(caller, vehicle_id, asked):
+        return failure_of(lambda: caller.CreateVehicle(api.CreateVehicleRequest(
+            vehicle_id=vehicle_id, vehicle=api.Vehicle(
+                settings=api.VehicleSettings(check_group=asked)))))
+
+    vehicle = acme.CreateVehicle(api.CreateVehicleRequest(
+        vehicle_id="acme-9-truck")).vehicle.name
+
+    def setting(caller, asked, path="settings.check_group"):
+        return caller.UpdateVehicle(api.UpdateVehicleRequest(
+            vehicle=api.Vehicle(name=vehicle, settings=api.VehicleSettings(
+                check_group=asked)),
+            update_mask=field_mask_pb2.FieldMask(paths=[path]))).vehicle
+
+    # One that is not there says the same as one that is not known to the caller.
+    for unknown in (foreign, "groups/umbra-8-site"):
+        created = creating(acme, "acme-9-no", unknown)
+        assert (created.code, created.reason) == (
+            grpc.StatusCode.PERMISSION_DENIED, "NOT_GRANTED")
+        changed = failure_of(lambda asked=unknown: setting(acme, asked))
+        assert (changed.code, changed.reason) == (
+            grpc.StatusCode.NOT_FOUND, "GROUP_NOT_FOUND")
+    # A caller of both tenants may not mix them.
+    for failure in (creating(operator, "acme-9-no", foreign),
+                    failure_of(lambda: setting(operator, foreign))):
+        assert (failure.code, failure.reason) == (
+            grpc.StatusCode.INVALID_ARGUMENT, "INVALID_FIELD")
+        assert failure.violations[0][0] == "vehicle.settings.check_group"
+    # Who may write and not read.
+    failure = failure_of(lambda: setting(called_by("acme-writer"), group))
+    assert (failure.code, failure.reason) == (
+        grpc.StatusCode.PERMISSION_DENIED, "NOT_GRANTED")
+    assert get(acme, vehicle).settings.check_group == ""
+    assert setting(acme, group).settings.check_group == group
+    # Who changes other settings leaves it as it is.
+    called_by("acme-writer").UpdateVehicle(api.UpdateVehicleRequest(
+        vehicle=api.Vehicle(name=vehicle, settings=api.VehicleSettings(
+            max_candidates=3)),
+        update_mask=field_mask_pb2.FieldMask(paths=["settings.max_candidates"])))
+    assert get(acme, vehicle).settings.check_group == group
+    setting(called_by("acme-writer"), "")
+    assert not get(acme, vehicle).settings.HasField("check_group")
+    malformed = failure_of(lambda: setting(acme, "site"))
+    assert malformed.code == grpc.StatusCode.INVALID_ARGUMENT
+    assert malformed.violations[0][0] == "vehicle.settings.check_group"
