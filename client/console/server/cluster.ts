@@ -1,6 +1,6 @@
 import {Code, ConnectError, type Transport} from '@connectrpc/connect';
 
-import {errorInfoOf, isAway} from './error_info.js';
+import {errorInfoOf, isAway} from '../shared/error_info.js';
 import type {Watch} from './watch.js';
 
 /** A server, and whether it is there. */

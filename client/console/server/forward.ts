@@ -21,6 +21,9 @@ const UNARY: DescMethodUnary[] = [
   calls.addLoopClosure, calls.listLoopClosures, calls.deleteLoopClosure,
   calls.rejectCandidate, calls.listRejectedCandidates,
   calls.deleteRejectedCandidate, calls.listDeletedPosePairs, calls.listPoses,
+  calls.getGroup, calls.listGroups, calls.listGroupMembers,
+  calls.addInterVehicleLoopClosure, calls.listInterVehicleLoopClosures,
+  calls.deleteInterVehicleLoopClosure, calls.listFrameTransforms,
   calls.getServerInfo, Health.method.check,
 ];
 const STREAMS: DescMethodServerStreaming[] =

@@ -4,7 +4,7 @@ import {type Client, Code, ConnectError, createClient, type Transport} from
     '@connectrpc/connect';
 
 import {PoseGraphService} from '../gen/revisit/v1/pose_graph_service_pb.js';
-import {isAway} from './error_info.js';
+import {isAway} from '../shared/error_info.js';
 
 const DEADLINE_MILLISECONDS = 2000;
 /** How long an answer about a caller holds: a page asks for metrics every second

@@ -4,7 +4,7 @@ import {Code, ConnectError, createClient, type Transport} from
     '@connectrpc/connect';
 
 import {Health} from '../gen/grpc/health/v1/health_pb.js';
-import {isAway} from './error_info.js';
+import {isAway} from '../shared/error_info.js';
 import type {Log} from './log.js';
 import type {Telemetry} from './telemetry.js';
 

@@ -2,7 +2,8 @@
 // and the server answers with the page at the address of every view.
 
 export type Route =
-    {view: 'fleet'}|{view: 'queue'}|{view: 'server', server?: string}|
+    {view: 'fleet'}|{view: 'groups'}|{view: 'group', group: string}|
+    {view: 'queue'}|{view: 'server', server?: string}|
     {view: 'vehicle', vehicle: string}|
     {view: 'candidate', vehicle: string, asked: number, matched: number}|
     {view: 'none'};
@@ -19,6 +20,9 @@ function decoded(text: string): string {
 /** The view at a path; 'none' where there is none. */
 export function routeOf(path: string): Route {
   if (path === '/') return {view: 'fleet'};
+  if (path === '/groups') return {view: 'groups'};
+  const group = /^\/groups\/([a-z0-9-]+)$/.exec(path);
+  if (group) return {view: 'group', group: group[1]};
   if (path === '/queue') return {view: 'queue'};
   if (path === '/server') return {view: 'server'};
   const server = /^\/server\/([\w.:%-]+)$/.exec(path);

@@ -10,6 +10,8 @@ import {route} from './route.js';
 import {dark, switchTheme} from './theme.js';
 import {CandidateView} from './views/candidate.js';
 import {FleetView} from './views/fleet.js';
+import {GroupView} from './views/group.js';
+import {GroupsView} from './views/groups.js';
 import {QueueView} from './views/queue.js';
 import {ServerView} from './views/server.js';
 import {VehicleView} from './views/vehicle.js';
@@ -73,6 +75,7 @@ function Header() {
       <strong>revisit</strong>
       <nav aria-label="Views">
         <a href="/" aria-current={current('fleet')}>Fleet</a>
+        <a href="/groups" aria-current={current('groups')}>Groups</a>
         <a href="/queue" aria-current={current('queue')}>Queue</a>
         <a href="/server" aria-current={current('server')}>Server</a>
       </nav>
@@ -93,6 +96,8 @@ function View(): JSX.Element {
   const who = token.value;
   switch (now.view) {
     case 'fleet': return <FleetView key={who} />;
+    case 'groups': return <GroupsView key={who} />;
+    case 'group': return <GroupView key={`${now.group} ${who}`} id={now.group} />;
     case 'queue': return <QueueView key={who} />;
     case 'server': return <ServerView key={who} name={now.server} />;
     case 'vehicle':

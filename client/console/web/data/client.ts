@@ -8,6 +8,7 @@ import {signal} from '@preact/signals';
 import {Health} from '../../gen/grpc/health/v1/health_pb.js';
 import {PoseGraphService} from
     '../../gen/revisit/v1/pose_graph_service_pb.js';
+import {errorInfoOf} from '../../shared/error_info.js';
 
 const TOKEN_KEY = 'revisit-token';
 const DEADLINE_MILLISECONDS = 20_000;
@@ -49,8 +50,17 @@ function found(): void {
   }
 }
 
+/** Whether a server answered that it still reads the histories of a group. */
+export function isReadingGroup(error: unknown): boolean {
+  return errorInfoOf(error)?.reason === 'GROUP_NOT_READY';
+}
+
 function note(error: unknown): void {
   const {code, rawMessage: message} = ConnectError.from(error);
+  if (isReadingGroup(error)) {
+    connection.value = {state: 'connected'};
+    return;
+  }
   if (code === Code.Unauthenticated) {
     connection.value = {state: 'unauthenticated', message};
   } else if (code === Code.Unavailable || code === Code.Unknown) {

@@ -104,7 +104,9 @@ export function noNodes(size: number): Nodes {
 }
 
 /** Index of the last node at or before a pose, or -1. */
-export function nodeAt(graph: Graph, sequence: number): number {
+export function nodeAt(
+    graph: Pick<Graph, 'size'|'sequence'|'fraction'>, sequence: number):
+    number {
   let low = 0;
   let high = graph.size;
   while (low < high) {

@@ -11,7 +11,7 @@ import {type Graph, nodeAt} from './graph.js';
 
 /** How far a frame may lie from where it is drawn. */
 export interface Doubt {
-  /** The place that it is about, in the frame of the last recording. */
+  /** The place that it is about, in the frame of the map. */
   x: number;
   y: number;
   /** xx, xy, yy in square metres. */
@@ -62,14 +62,19 @@ export function recordingId(name: string): string {
   return name.slice(name.lastIndexOf('/') + 1);
 }
 
-function motionOf({framePose}: Recording): Rigid|undefined {
+/** A frame as seen from another one, in which it may be placed. */
+type Placed =
+    Pick<Recording, 'framePose'|'frameCovariance'|'frameReference'>;
+
+export function motionOf({framePose}: Pick<Placed, 'framePose'>):
+    Rigid|undefined {
   return framePose && {angle: framePose.headingRadians, x: framePose.xMeters,
                        y: framePose.yMeters};
 }
 
-function doubtOf(recording: Recording): Doubt|undefined {
-  const {frameCovariance, frameReference} = recording;
-  const motion = motionOf(recording);
+export function doubtOf(placed: Placed): Doubt|undefined {
+  const {frameCovariance, frameReference} = placed;
+  const motion = motionOf(placed);
   if (!frameCovariance || !frameReference || !motion) return undefined;
   const {form, values} = frameCovariance;
   const [yy, hh] = form === CovarianceForm.SPATIAL_10 ? [4, 9] : [3, 5];

@@ -15,6 +15,7 @@ import {deeds, isBusy, lastDecision, MOST_WAITING, pairOfWaiting,
 import {Export} from '../parts/export.js';
 import {count, fixed, length, moment, probability, words} from
     '../parts/format.js';
+import {useKeys} from '../parts/keys.js';
 import {type Column, Table} from '../parts/table.js';
 import {go, query, setQuery} from '../route.js';
 import {useTitle} from '../title.js';
@@ -188,33 +189,6 @@ function Deeds({done}: {done: readonly QueueDeed[]}) {
       </ol>
     </details>
   );
-}
-
-/** The keys of the view, from when it is there: an effect that waits for a
- * frame would lose the key of somebody who presses it as soon as the table is
- * seen. */
-function useKeys(keys: Record<string, () => void>): void {
-  const latest = useRef(keys);
-  latest.current = keys;
-  useLayoutEffect(() => {
-    const onKey = (event: KeyboardEvent) => {
-      const target = event.target as HTMLElement;
-      if (event.key === 'Escape') target.blur();
-      if (event.ctrlKey || event.metaKey || event.altKey || event.repeat ||
-          target.closest('input:not([type=checkbox]), textarea, select') ||
-          // Enter is the key of whatever has the focus, if that has one.
-          (event.key === 'Enter' &&
-           target.closest('a, button, summary, input'))) {
-        return;
-      }
-      const act = latest.current[event.key];
-      if (!act) return;
-      event.preventDefault();
-      act();
-    };
-    addEventListener('keydown', onKey);
-    return () => removeEventListener('keydown', onKey);
-  }, []);
 }
 
 /** The row that is looked at, which the address names, and how to look at

@@ -11,12 +11,11 @@ import {type Colour, dots, type PlaceName, RECORDING_COLOURS, type Shape,
 import {addEllipse, ellipse95} from '../geometry/ellipse.js';
 import {StretchesDrawer} from '../geometry/path.js';
 import type {Box} from '../geometry/view.js';
-import {count, fixed, length} from '../parts/format.js';
+import {count} from '../parts/format.js';
 import {type Column, Table} from '../parts/table.js';
+import {withinText} from '../parts/within.js';
 import {setQuery} from '../route.js';
 
-/** Quantile of a Gaussian within whose deviations 95 % lie. */
-const DEVIATIONS_95 = 1.96;
 const ESTIMATE_DASH: [number, number] = [8, 4];
 const MOST_NAMES_IN_LEGEND = 2;
 
@@ -81,16 +80,6 @@ export function areInOneFrame(graph: Graph, recordings: Recordings, pair: Pair):
     boolean {
   const [query, matched] = recordingsOf(graph, recordings, pair);
   return query === matched || (!!query?.isPlaced && !!matched?.isPlaced);
-}
-
-/** How near the recording is to where it is drawn, in 95 of 100 cases, as
- * claimed; '' for the last one, and where it is not placed. */
-function withinText({doubt}: PlacedRecording): string {
-  if (!doubt) return '';
-  const {long} = ellipse95(...doubt.covariance);
-  const degrees = DEVIATIONS_95 * doubt.headingDeviation * 180 / Math.PI;
-  return `to within ${length(long)}, ${
-      degrees >= 180 ? 'any heading' : `${fixed(degrees, 1)}°`}`;
 }
 
 /** Where the recording lies in the frame of the last one, for people. */
