@@ -39,9 +39,10 @@ absl::StatusOr<ServerMap> ReadServerMap(const Client& client,
                                         const std::string& vehicle,
                                         const Terminal& terminal);
 
-// The same with the paths of a group's other vehicles in its frame, and what was
-// confirmed and rejected between them; without that within each of the others. `group` is a resource name. Those of vehicles that the
-// caller may not read, or that cannot be compared with this one, are left out.
+// The same with the paths of a group's other vehicles in its frame, and what
+// was confirmed and rejected between them; without that within each of the
+// others. `group` is a resource name. Those of vehicles that the caller may not
+// read, or that cannot be compared with this one, are left out.
 absl::StatusOr<ServerMap> ReadGroupMap(const Client& client,
                                        const std::string& vehicle,
                                        const std::string& group,

@@ -71,8 +71,8 @@ absl::Status ReadPairs(
       [&](const v1::ListInterVehicleRejectedCandidatesRequest& asked) {
         return client.ListInterVehicleRejectedCandidates(asked);
       },
-      [](const v1::ListInterVehicleRejectedCandidatesResponse& page) -> const
-      auto& { return page.rejected_candidates(); },
+      [](const v1::ListInterVehicleRejectedCandidatesResponse& page)
+          -> const auto& { return page.rejected_candidates(); },
       [&](const v1::ListInterVehicleRejectedCandidatesResponse& page)
           -> absl::StatusOr<bool> {
         rejections->mutable_rejected_candidates()->MergeFrom(
