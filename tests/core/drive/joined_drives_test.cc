@@ -176,8 +176,8 @@ TEST(JoinedDrivesTest, RejectedPlacesAreNotSoughtAsThoseOfOneDriveAreNot) {
   one.Append(RecordingOf(Part(100, 200), unknown(), one.last_sequence()), 2);
   const NodeIndex first = a.graph().size();
   one.AddRejection(150, 30, 3);
-  const NodeIndex query = one.graph().NodeAtOrBefore(150) - first;
-  const NodeIndex matched = one.graph().NodeAtOrBefore(30);
+  const NodeIndex query = *one.graph().NodeAtOrBefore(150) - first;
+  const NodeIndex matched = *one.graph().NodeAtOrBefore(30);
   const JoinedDrives joined({{a.View(1.0)}, {b.View(1.0)}}, {},
                             {{1, 0, {query, matched, nullptr}}});
   std::size_t excluding = 0;
