@@ -59,6 +59,10 @@ void Encode(const std::string& vehicle_id, std::uint64_t check_sequence,
   const std::string& decision =
       is_contradicted ? candidate.contradicted : candidate.decision;
   if (decision.empty()) return;
+  if (!candidate.is_own()) {
+    message->set_decision(GroupLinkName(candidate.group, decision));
+    return;
+  }
   message->set_decision(PosePairResourceName(
       is_contradicted || candidate.state == CandidateState::kConfirmed
           ? PairKind::kLoopClosure

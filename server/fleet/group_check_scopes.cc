@@ -1,12 +1,15 @@
 #include "server/fleet/group_check_scopes.h"
 
 #include <algorithm>
+#include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 
 #include "absl/status/status.h"
 #include "server/fleet/group_searches.h"
+#include "server/records/group_content.h"
 
 namespace revisit::server {
 namespace {
@@ -36,11 +39,52 @@ absl::StatusOr<CheckScopePtr> ScopeOf(const CheckScopes::Request& request,
   const auto group = std::make_shared<const GroupScope>(*std::move(ready));
   auto scope = std::make_shared<CheckScope>();
   scope->search = group->scope;
+  scope->group_id = request.group;
   for (const auto& history : group->joined->histories) {
-    scope->vehicles.push_back({history->vehicle_id, history->config.uid});
+    scope->vehicles.push_back(
+        {history->vehicle_id, history->config.uid, history->last_sequence});
   }
   scope->group = group;
   return scope;
+}
+
+// Nothing where it does not link the vehicle, or its content is damaged.
+std::optional<CheckGroup::Link> LinkOf(
+    const CheckScopes::Request& request, const GroupLinkRecord& record,
+    const std::map<VehicleKey, std::string>& uids) {
+  const bool asks = record.query.vehicle == request.key;
+  if (!asks && record.matched.vehicle != request.key) return std::nullopt;
+  const VehiclePose& own = asks ? record.query : record.matched;
+  const VehiclePose& other = asks ? record.matched : record.query;
+  const auto uid = uids.find(other.vehicle);
+  if (uid == uids.end()) return std::nullopt;
+  CheckGroup::Link link{record.id, own.sequence, uid->second, other.sequence,
+                        ""};
+  const absl::Status read =
+      ReadLinkContent(record.payload, [&](const LinkContent& content) {
+        link.decided_by = std::string(content.content.decided_by);
+      });
+  if (!read.ok()) return std::nullopt;
+  return link;
+}
+
+absl::StatusOr<CheckGroupPtr> GroupOf(
+    const CheckScopes::Request& request,
+    const absl::StatusOr<GroupSearches::NamedGroup>& named) {
+  auto group = std::make_shared<CheckGroup>();
+  if (absl::IsNotFound(named.status())) return group;
+  if (!named.ok()) return named.status();
+  group->version = named->group->version;
+  for (const GroupMemberRecord& member : named->group->members) {
+    const auto uid = named->uids.find(member.vehicle);
+    group->members[member.vehicle_id] =
+        uid == named->uids.end() ? std::string() : uid->second;
+  }
+  for (const StoredLink& stored : named->group->links) {
+    auto link = LinkOf(request, stored.record, named->uids);
+    if (link) group->links.push_back(*std::move(link));
+  }
+  return group;
 }
 
 }  // namespace
@@ -63,6 +107,22 @@ void GroupCheckScopes::Prepare(const Request& request, Then then) {
           std::move(scope),
           [request, then = std::move(then)](absl::StatusOr<GroupScope> ready) {
             then(ScopeOf(request, std::move(ready)));
+          });
+      return;
+    }
+  }
+  then(absl::UnavailableError("no searches in groups are made"));
+}
+
+void GroupCheckScopes::ReadGroup(const Request& request, ThenGroup then) {
+  {
+    const MutexLock lock(&mutex_);
+    if (searches_ != nullptr) {
+      searches_->ReadGroup(
+          request.group,
+          [request, then = std::move(then)](
+              const absl::StatusOr<GroupSearches::NamedGroup>& named) {
+            then(GroupOf(request, named));
           });
       return;
     }

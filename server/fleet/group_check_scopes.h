@@ -1,4 +1,5 @@
-// Gets ready the scopes in which stored checks search in groups.
+// Gets ready the scopes in which stored checks search in groups, and says what
+// groups decide.
 #ifndef REVISIT_SERVER_FLEET_GROUP_CHECK_SCOPES_H_
 #define REVISIT_SERVER_FLEET_GROUP_CHECK_SCOPES_H_
 
@@ -26,6 +27,8 @@ class GroupCheckScopes final : public CheckScopes {
   void UseNone() { Use(nullptr); }
 
   void Prepare(const Request& request, Then then) override
+      ABSL_LOCKS_EXCLUDED(mutex_);
+  void ReadGroup(const Request& request, ThenGroup then) override
       ABSL_LOCKS_EXCLUDED(mutex_);
 
  private:

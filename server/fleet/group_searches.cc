@@ -190,6 +190,36 @@ struct GroupSearches::State {
     search->then(std::move(scope));
   }
 
+  absl::StatusOr<NamedGroup> ReadGroup(const std::string& id)
+      ABSL_LOCKS_EXCLUDED(mutex) {
+    auto group = cache.Group(id);
+    if (!group.ok()) return group.status();
+    NamedGroup named{*std::move(group), {}};
+    std::set<std::string> unknown;
+    {
+      const MutexLock lock(&mutex);
+      for (const GroupMemberRecord& member : named.group->members) {
+        const auto known = uids.find(member.vehicle);
+        if (known != uids.end()) {
+          named.uids.insert(*known);
+        } else {
+          unknown.insert(member.vehicle_id);
+        }
+      }
+    }
+    if (unknown.empty()) return named;
+    const auto rows = storage->GetVehicles(unknown);
+    if (!rows.ok()) return rows.status();
+    for (const VehicleRecord& row : *rows) {
+      if (!row.damage.ok()) continue;
+      const auto config = shared.codec->DecodeVehicle(row);
+      if (config.ok()) named.uids.emplace(row.key, config->uid);
+    }
+    const MutexLock lock(&mutex);
+    uids.insert(named.uids.begin(), named.uids.end());
+    return named;
+  }
+
   std::shared_ptr<HistoryKeeper> Keeper(const std::string& id)
       ABSL_LOCKS_EXCLUDED(mutex) {
     const MutexLock lock(&mutex);
@@ -237,6 +267,8 @@ struct GroupSearches::State {
   mutable Mutex mutex;
   std::map<std::string, std::shared_ptr<HistoryKeeper>> keepers
       ABSL_GUARDED_BY(mutex);
+  // Of vehicles that are or were members; they never change.
+  std::map<VehicleKey, std::string> uids ABSL_GUARDED_BY(mutex);
 };
 
 GroupSearches::GroupSearches(Fleet* fleet, Storage* storage,
@@ -254,6 +286,12 @@ void GroupSearches::Prepare(
   search->request = std::move(request);
   search->then = std::move(then);
   state_->tasks.Post([state = state_.get(), search] { state->Begin(search); });
+}
+
+void GroupSearches::ReadGroup(
+    std::string id, std::function<void(absl::StatusOr<NamedGroup>)> then) {
+  state_->tasks.Post([state = state_.get(), id = std::move(id),
+                      then = std::move(then)] { then(state->ReadGroup(id)); });
 }
 
 void GroupSearches::UnloadIdle(Clock::time_point now) {

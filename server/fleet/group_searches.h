@@ -10,10 +10,13 @@
 #include <chrono>
 #include <cstdint>
 #include <functional>
+#include <map>
 #include <memory>
+#include <string>
 
 #include "absl/status/statusor.h"
 #include "server/fleet/group_scope.h"
+#include "server/fleet/stored_group.h"
 #include "server/sessions/executor.h"
 #include "server/sessions/fleet.h"
 #include "server/sessions/record_codec.h"
@@ -54,6 +57,17 @@ class GroupSearches {
   // of the asking vehicle, which is loaded: then its history is known.
   void Prepare(ScopeRequest request,
                std::function<void(absl::StatusOr<GroupScope>)> then);
+
+  // A group as it is stored, no older than kFreshGroup (group_cache.h), with
+  // the uids of its vehicles; those of damaged ones are left out. Calls `then`
+  // once, on a thread of the executor. Errors: NOT_FOUND (GROUP_NOT_FOUND);
+  // those of the storage.
+  struct NamedGroup {
+    std::shared_ptr<const StoredGroup> group;
+    std::map<VehicleKey, std::string> uids;
+  };
+  void ReadGroup(std::string id,
+                 std::function<void(absl::StatusOr<NamedGroup>)> then);
 
   // Lets go the histories that nobody has asked for, since before `now` less
   // Options::idle_unload. The server calls it on a timer.

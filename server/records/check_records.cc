@@ -41,6 +41,9 @@ void Write(const StoredCandidate& candidate, stored::CheckCandidate* message) {
   message->set_contradicted(candidate.contradicted);
   message->set_matched_vehicle(candidate.matched_vehicle);
   message->set_matched_uid(candidate.matched_uid);
+  message->set_place_first(candidate.place_first);
+  message->set_place_last(candidate.place_last);
+  message->set_group(candidate.group);
 }
 
 absl::StatusOr<StoredCandidate> Read(const stored::CheckCandidate& message) {
@@ -64,6 +67,9 @@ absl::StatusOr<StoredCandidate> Read(const stored::CheckCandidate& message) {
   candidate.contradicted = message.contradicted();
   candidate.matched_vehicle = message.matched_vehicle();
   candidate.matched_uid = message.matched_uid();
+  candidate.place_first = message.place_first();
+  candidate.place_last = message.place_last();
+  candidate.group = message.group();
   return candidate;
 }
 

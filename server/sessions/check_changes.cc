@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <tuple>
 #include <utility>
 
 #include "core/drive/node_range.h"
@@ -19,6 +20,26 @@ double TravelledAt(const core::PoseGraph& graph, std::uint64_t sequence) {
   return node ? graph.node(*node).travelled_meters : 0.0;
 }
 
+std::pair<std::uint64_t, std::uint64_t> PlaceAround(
+    const core::PoseGraph& graph, core::NodeIndex node,
+    std::uint64_t last_sequence) {
+  const double here = graph.node(node).travelled_meters;
+  core::NodeIndex first = node;
+  core::NodeIndex last = node;
+  while (first > 0 && here - graph.node(first - 1).travelled_meters <=
+                          core::kPlaceRadiusMeters) {
+    --first;
+  }
+  while (last + 1 < graph.size() &&
+         graph.node(last + 1).travelled_meters - here <=
+             core::kPlaceRadiusMeters) {
+    ++last;
+  }
+  return {PoseOf(graph, first), last + 1 < graph.size()
+                                    ? PoseOf(graph, last + 1) - 1
+                                    : last_sequence};
+}
+
 void SetMatch(const core::PoseGraph& graph, const core::Candidate& candidate,
               const CheckScope* scope, StoredCandidate* stored) {
   if (!candidate.drive) {
@@ -26,10 +47,14 @@ void SetMatch(const core::PoseGraph& graph, const core::Candidate& candidate,
     return;
   }
   const std::size_t drive = *candidate.drive;
-  stored->matched_sequence =
-      PoseOf(scope->search.drives->view(drive).graph, candidate.matched);
-  stored->matched_vehicle = scope->vehicles[drive].id;
-  stored->matched_uid = scope->vehicles[drive].uid;
+  const CheckScope::Vehicle& vehicle = scope->vehicles[drive];
+  const core::PoseGraph& other = scope->search.drives->view(drive).graph;
+  stored->matched_sequence = PoseOf(other, candidate.matched);
+  stored->matched_vehicle = vehicle.id;
+  stored->matched_uid = vehicle.uid;
+  std::tie(stored->place_first, stored->place_last) =
+      PlaceAround(other, candidate.matched, vehicle.last_sequence);
+  stored->group = scope->group_id;
 }
 
 double ProbabilityOf(const core::Candidate& candidate) {

@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <optional>
 #include <string>
+#include <utility>
 
 #include "core/drive/pose_graph.h"
 #include "core/search/candidates/candidate.h"
@@ -21,6 +22,12 @@ namespace revisit::server {
 std::uint64_t PoseOf(const core::PoseGraph& graph, core::NodeIndex index);
 // The distance travelled up to the last node at or before a pose.
 double TravelledAt(const core::PoseGraph& graph, std::uint64_t sequence);
+// The poses within core::kPlaceRadiusMeters of a node, along the path: the
+// first and the last one. `last_sequence`: of all poses; those behind the last
+// node are at it, as far as the graph tells. REQUIRES: the graph has nodes.
+std::pair<std::uint64_t, std::uint64_t> PlaceAround(
+    const core::PoseGraph& graph, core::NodeIndex node,
+    std::uint64_t last_sequence);
 // Fills in where the matched node of a candidate is. `graph`: that of the
 // vehicle that is checked; `scope`: of the search; null for its own history
 // alone.

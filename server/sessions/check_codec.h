@@ -42,12 +42,19 @@ struct StoredCandidate {
   // which is checked; else empty.
   std::string matched_vehicle = std::string();
   std::string matched_uid = std::string();
+  // Where it is: the poses of that vehicle that lay within
+  // core::kPlaceRadiusMeters of this one, along its path, when it was found;
+  // and the id of the group in which it was found.
+  std::uint64_t place_first = 0;
+  std::uint64_t place_last = 0;
+  std::string group = std::string();
   CandidateState state = CandidateState::kOpen;
   CandidateCause cause = CandidateCause::kCheck;
   // Caller::identity of who caused it; empty if no caller did.
   std::string actor = std::string();
   std::int64_t update_time_ns = 0;  // Since the Unix epoch.
-  // The id of the pair that decided; empty unless one did.
+  // The id of the pair that decided, or of the loop closure between vehicles in
+  // `group`; empty unless one did.
   std::string decision = std::string();
   // The number of the last event about it.
   std::uint64_t event_number = 0;

@@ -1,15 +1,20 @@
 // Where stored checks search beside the vehicle's own history
-// (VehicleConfig::check_group): what sessions know of it, and whom they ask.
+// (VehicleConfig::check_group), and what is decided there: what sessions know
+// of groups, and whom they ask.
 #ifndef REVISIT_SERVER_SESSIONS_CHECK_SCOPES_H_
 #define REVISIT_SERVER_SESSIONS_CHECK_SCOPES_H_
 
+#include <cstdint>
 #include <functional>
+#include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "absl/status/statusor.h"
 #include "core/search/search_scope.h"
+#include "server/storage/group_records.h"
 #include "server/storage/records.h"
 
 namespace revisit::server {
@@ -22,14 +27,38 @@ struct CheckScope {
   struct Vehicle {
     std::string id;
     std::string uid;
+    // The highest sequence in the scope.
+    std::uint64_t last_sequence = 0;
   };
   core::SearchScope search;
   // By their index among the scope's drives.
   std::vector<Vehicle> vehicles;
+  std::string group_id;
   // For CheckCodec::EncodeFound().
   std::shared_ptr<const GroupScope> group = nullptr;
 };
 using CheckScopePtr = std::shared_ptr<const CheckScope>;
+
+// What a group says of a vehicle's places in the histories of others. Never
+// changes.
+struct CheckGroup {
+  // A loop closure between the vehicle and another one.
+  struct Link {
+    std::string id;
+    std::uint64_t own_sequence = 0;
+    std::string other_uid;
+    std::uint64_t other_sequence = 0;
+    // Caller::identity; empty where nobody was asked who calls.
+    std::string decided_by;
+  };
+  // Nothing where there is no such group.
+  std::optional<GroupVersion> version;
+  // The uids of the members by their ids; empty where a vehicle is damaged.
+  std::map<std::string, std::string> members;
+  // In the order in which they were added.
+  std::vector<Link> links;
+};
+using CheckGroupPtr = std::shared_ptr<const CheckGroup>;
 
 // Thread-safe.
 class CheckScopes {
@@ -51,6 +80,11 @@ class CheckScopes {
   // Calls `then` once, on any thread. Does not wait. REQUIRES: the vehicle's
   // session is loaded, and held until then.
   virtual void Prepare(const Request& request, Then then) = 0;
+
+  // Calls `then` once, on any thread, with the group as it is stored, at most
+  // some seconds old. Does not wait. Errors are those of the storage.
+  using ThenGroup = std::function<void(absl::StatusOr<CheckGroupPtr>)>;
+  virtual void ReadGroup(const Request& request, ThenGroup then) = 0;
 };
 
 }  // namespace revisit::server

@@ -39,8 +39,8 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
     std::chrono::steady_clock::time_point last_use;
     // Number of the call of WriteSnapshots() that chose it last.
     std::uint64_t last_snapshot = 0;
-    // Whether the fleet has had a snapshot written since the last use.
-    bool was_written = false;
+    // Whether the fleet has set it to work by itself since the last use.
+    bool works_by_itself = false;
   };
   using Entries = std::unordered_map<std::string, Entry>;
   // Sessions that were taken out of the map, and what they held.
@@ -67,7 +67,7 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
       const MutexLock guard(&mutex);
       Entry& entry = entries[id];
       entry.last_use = std::chrono::steady_clock::now();
-      entry.was_written = false;
+      entry.works_by_itself = false;
       if (entry.session != nullptr && !entry.session->gone()) {
         return entry.session;
       }
@@ -157,9 +157,9 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
       // Nobody but this map has it, so nobody can start anything on it now.
       const bool unused =
           entry.session.use_count() == 1 && !entry.session->busy();
-      // To write its snapshot is no use of a vehicle.
+      // What it does by itself, as to write its snapshot, is no use of it.
       if (entry.session.use_count() > 1 ||
-          (entry.session->busy() && !entry.was_written)) {
+          (entry.session->busy() && !entry.works_by_itself)) {
         entry.last_use = now;
       }
       const bool is_idle =
@@ -190,7 +190,7 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
   // it is begun.
   bool MustWrite(Entry& entry) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex) {
     if (entry.session->has_unsettled_checks()) {
-      entry.was_written = true;
+      entry.works_by_itself = true;
       entry.session->SettleChecks([] {});
       return true;
     }
@@ -207,7 +207,9 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
       VehicleSession* const session = entry.session.get();
       if (session->gone()) continue;
       if (!session->is_loaded()) session->PayChecks();
-      if (session->has_waiting_searches()) session->SearchAgain();
+      if (!session->has_waiting_checks()) continue;
+      entry.works_by_itself = true;
+      session->GoOnWithChecks();
     }
   }
 
@@ -266,7 +268,7 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
 
   void WriteSnapshot(int most_parts, Entry* entry)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex) {
-    entry->was_written = true;
+    entry->works_by_itself = true;
     ++writing_snapshots;
     entry->session->WriteSnapshot(most_parts, [self = shared_from_this()] {
       const MutexLock guard(&self->mutex);

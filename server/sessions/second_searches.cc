@@ -135,41 +135,10 @@ void SecondSearches::JudgeClosures() {
 
 void SecondSearches::RunStep(std::function<absl::StatusOr<ChecksWrite>()> step,
                              std::function<void(bool)> then) {
-  queue_->PushBack(
-      {Turn::kAlone, [this, step = std::move(step),
-                      then = std::move(then)](const absl::Status& status) {
-         if (!status.ok() || !changes_->MayWork()) {
-           GiveUp();
-           then(false);
-           return;
-         }
-         queue_->Hold();
-         queue_->PostLong([this, step, then] {
-           absl::StatusOr<ChecksWrite> write = step();
-           if (!write.ok()) {
-             GiveUp();
-             queue_->Release([&] { then(false); });
-             return;
-           }
-           if (write->checks.empty() && write->events.empty()) {
-             queue_->Release([&] { then(true); });
-             return;
-           }
-           const ChecksHead after = write->after;
-           vehicle_->storage->PutChecks(
-               vehicle_->head.key(), *std::move(write),
-               queue_->OnStrand([this, after, then](const absl::Status& put) {
-                 if (put.ok()) {
-                   vehicle_->head.set_checks(after);
-                 } else {
-                   vehicle_->NoteFailedWrite(put);
-                   GiveUp();
-                 }
-                 queue_->Release([&] { then(put.ok()); });
-               }));
-         });
-       }});
-  queue_->PumpLater();
+  steps_.Run(std::move(step), [this, then = std::move(then)](bool ok) {
+    if (!ok) GiveUp();
+    then(ok);
+  });
 }
 
 absl::StatusOr<ChecksWrite> SecondSearches::LookAtPage() {
@@ -420,6 +389,7 @@ absl::StatusOr<ChecksWrite> SecondSearches::Compare(const Answer& answer) {
     late.value = changes_->ValueOf(record.sequence, late);
     changes_->Tell(record.sequence, &*check, check->candidates.size() - 1,
                    &write);
+    if (!late.is_own()) links_->LookAt(record.sequence);
   }
   check->basis = basis_->Of(record.sequence, check->candidates);
   changes_->Put(record, *check, &write);

@@ -39,6 +39,8 @@
 #include "server/sessions/check_monitor.h"
 #include "server/sessions/check_scopes.h"
 #include "server/sessions/check_search.h"
+#include "server/sessions/check_steps.h"
+#include "server/sessions/link_decisions.h"
 #include "server/sessions/vehicle_queue.h"
 #include "server/sessions/vehicle_state.h"
 #include "server/storage/records.h"
@@ -65,11 +67,13 @@ class SecondSearches {
  public:
   SecondSearches(VehicleState* vehicle, VehicleQueue* queue,
                  const CheckChanges* changes, CheckBasis* basis,
-                 SecondSearchesPolicy policy)
+                 LinkDecisions* links, SecondSearchesPolicy policy)
       : vehicle_(vehicle),
         queue_(queue),
         changes_(changes),
         basis_(basis),
+        links_(links),
+        steps_(vehicle, queue, changes),
         policy_(std::move(policy)),
         search_(vehicle, queue,
                 {"second searches", policy_.max_search_steps, policy_.scopes}) {
@@ -117,8 +121,7 @@ class SecondSearches {
   bool MustJudge() const;
   void Look();
   void JudgeClosures();
-  // Runs a step that reads rows and may write them, after what came before and
-  // while nothing else is written; then `then`, told whether that worked.
+  // As CheckSteps::Run(); gives up where it did not work.
   void RunStep(std::function<absl::StatusOr<ChecksWrite>()> step,
                std::function<void(bool)> then);
   void LookAtNextPage();
@@ -147,6 +150,8 @@ class SecondSearches {
   VehicleQueue* const queue_;
   const CheckChanges* const changes_;
   CheckBasis* const basis_;
+  LinkDecisions* const links_;
+  CheckSteps steps_;
   const SecondSearchesPolicy policy_;
 
   // The version that was seen last, and the last one of which all rows were

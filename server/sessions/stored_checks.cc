@@ -74,6 +74,7 @@ void StoredChecks::Consider() {
   if (!changes_.MayWork()) return;
   TidySoon();
   second_.Consider();
+  links_.Consider();
   if (!Stores()) {
     made_.clear();
     landed_.clear();
@@ -106,9 +107,10 @@ void StoredChecks::Consider() {
                });
 }
 
-void StoredChecks::SearchAgain() {
+void StoredChecks::GoOn() {
   search_.TryAgain();
-  second_.AllowMore();
+  links_.LookAgain();
+  if (second_.is_behind()) second_.AllowMore();
   Consider();
 }
 
@@ -244,6 +246,7 @@ void StoredChecks::TakeResult(const ChecksHead& after,
   failed_ = !status.ok();
   if (status.ok()) {
     vehicle_->head.set_checks(after);
+    LookAtLinks(after);
     if (policy_.monitor != nullptr) {
       const auto now = std::chrono::steady_clock::now();
       for (const Made& made : made_) {
@@ -265,6 +268,17 @@ void StoredChecks::TakeResult(const ChecksHead& after,
   // A write that failed is made again when something else happens, or the
   // vehicles that owe checks are looked for (Fleet::PayChecks()).
   if (status.ok()) Consider();
+}
+
+void StoredChecks::LookAtLinks(const ChecksHead& after) {
+  for (const Made& made : made_) {
+    const auto& found = made.check.candidates;
+    if (made.sequence <= after.checked_sequence &&
+        !std::all_of(found.begin(), found.end(),
+                     [](const auto& one) { return one.is_own(); })) {
+      links_.LookAt(made.sequence);
+    }
+  }
 }
 
 void StoredChecks::RunSettled() {
@@ -385,26 +399,15 @@ absl::StatusOr<ChecksWrite> StoredChecks::FindOld() {
 absl::StatusOr<std::vector<CheckRecord>> StoredChecks::ChecksNear(
     std::uint64_t sequence) const {
   const core::PoseGraph& graph = vehicle_->loaded->graph();
-  const auto node = graph.NodeAtOrBefore(sequence);
-  core::NodeIndex first = node.value_or(0);
-  core::NodeIndex last = first;
-  const double here = changes_.TravelledAt(sequence);
-  while (first > 0 && here - graph.node(first - 1).travelled_meters <=
-                          core::kPlaceRadiusMeters) {
-    --first;
+  std::pair<std::uint64_t, std::uint64_t> place{
+      0, vehicle_->head.durable_sequence()};
+  if (graph.size() > 0) {
+    place = PlaceAround(graph, graph.NodeAtOrBefore(sequence).value_or(0),
+                        place.second);
   }
-  while (last + 1 < graph.size() &&
-         graph.node(last + 1).travelled_meters - here <=
-             core::kPlaceRadiusMeters) {
-    ++last;
-  }
-  // Poses that follow the last node are at it, as far as the graph tells.
-  const std::uint64_t end = last + 1 < graph.size()
-                                ? PoseOf(graph, last + 1) - 1
-                                : vehicle_->head.durable_sequence();
-  return vehicle_->storage->ListChecks(
-      vehicle_->head.key(), graph.size() == 0 ? 0 : PoseOf(graph, first), end,
-      /*open_only=*/false, kChecksPerRead);
+  return vehicle_->storage->ListChecks(vehicle_->head.key(), place.first,
+                                       place.second, /*open_only=*/false,
+                                       kChecksPerRead);
 }
 
 absl::StatusOr<std::optional<ChecksWrite>> StoredChecks::WithPair(
@@ -492,6 +495,7 @@ absl::StatusOr<std::optional<ChecksWrite>> StoredChecks::WithoutPair(
       if (!check) continue;
       for (std::size_t i = 0; i < check->candidates.size(); ++i) {
         const StoredCandidate& candidate = check->candidates[i];
+        if (!candidate.is_own()) continue;
         const bool is_decided =
             candidate.state == decided && candidate.decision == pair.id;
         // Nothing is left that could be upheld.

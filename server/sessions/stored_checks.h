@@ -33,6 +33,7 @@
 #include "server/sessions/check_monitor.h"
 #include "server/sessions/check_scopes.h"
 #include "server/sessions/check_search.h"
+#include "server/sessions/link_decisions.h"
 #include "server/sessions/second_searches.h"
 #include "server/sessions/vehicle_queue.h"
 #include "server/sessions/vehicle_state.h"
@@ -75,7 +76,8 @@ class StoredChecks {
         policy_(std::move(policy)),
         changes_(vehicle, policy_.codec),
         basis_(vehicle),
-        second_(vehicle, queue, &changes_, &basis_,
+        links_(vehicle, queue, &changes_, policy_.scopes),
+        second_(vehicle, queue, &changes_, &basis_, &links_,
                 {policy_.max_search_steps, policy_.scopes,
                  policy_.searches_per_change, policy_.monitor}),
         search_(vehicle, queue,
@@ -97,13 +99,15 @@ class StoredChecks {
   // way.
   void Settle(std::function<void()> then);
 
-  // Whether searches wait: for their group's histories, or, second ones
-  // (second_searches.h), until more are allowed. From any thread.
-  bool has_waiting_searches() const {
-    return waits_for_group_.load() || second_.is_behind();
+  // Whether GoOn() is to be called from time to time: searches wait for their
+  // group's histories, or, second ones (second_searches.h), until more are
+  // allowed; or the group may come to decide on candidates (link_decisions.h).
+  // From any thread.
+  bool waits() const {
+    return waits_for_group_.load() || second_.is_behind() ||
+           links_.is_watching();
   }
-  // Has those that wait go on.
-  void SearchAgain();
+  void GoOn();
 
   // The checks that are owed. From any thread.
   std::int64_t debt() const { return debt_.load(); }
@@ -156,6 +160,8 @@ class StoredChecks {
   void WriteSoon();
   void Write();
   void TakeResult(const ChecksHead& after, const absl::Status& status);
+  // Has what was stored of other vehicles' histories decided.
+  void LookAtLinks(const ChecksHead& after);
   // Calls, once each, those that wait for the end of a write.
   void RunSettled();
   // Looks for checks that are kept no longer, if it is time, and removes them;
@@ -176,6 +182,7 @@ class StoredChecks {
   const StoredChecksPolicy policy_;
   const CheckChanges changes_;
   CheckBasis basis_;
+  LinkDecisions links_;
   SecondSearches second_;
 
   // The search that is under way.

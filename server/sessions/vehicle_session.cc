@@ -262,15 +262,15 @@ void VehicleSession::PayChecks() {
        }});
 }
 
-void VehicleSession::SearchAgain() {
+void VehicleSession::GoOnWithChecks() {
   state_->queue.Submit(
       {Turn::kRead, [checks = &state_->checks](const absl::Status& status) {
-         if (status.ok()) checks->SearchAgain();
+         if (status.ok()) checks->GoOn();
        }});
 }
 
-bool VehicleSession::has_waiting_searches() const {
-  return state_->checks.has_waiting_searches();
+bool VehicleSession::has_waiting_checks() const {
+  return state_->checks.waits();
 }
 
 bool VehicleSession::has_unsettled_checks() const {

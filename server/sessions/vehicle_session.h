@@ -149,10 +149,9 @@ class VehicleSession {
   // Goes on with the checks that the vehicle owes, also where a write of them
   // failed, or the vehicle was loaded while nothing could be answered.
   void PayChecks();
-  // Has searches of checks go on that wait (StoredChecks::SearchAgain());
-  // whether some do.
-  void SearchAgain();
-  bool has_waiting_searches() const;
+  // Has stored checks go on that wait (StoredChecks::GoOn()); whether some do.
+  void GoOnWithChecks();
+  bool has_waiting_checks() const;
   // Whether the store does not know yet that no check is owed.
   bool has_unsettled_checks() const;
   // Tells it, then calls `then`.

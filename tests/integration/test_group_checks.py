@@ -7,7 +7,8 @@ import grpc
 import pytest
 from google.protobuf import field_mask_pb2
 
-from grouping import add_member, create_group, delete_group, remove_member
+from grouping import (add_link, add_member, create_group, delete_group, delete_link,
+                      remove_member)
 from own_postgres import own_postgres
 from private_cluster import find_postgres
 from revisit_server import Server, run, wait_until
@@ -158,6 +159,74 @@ def test_checks_find_places_in_the_histories_of_others_once(tmp_path, drive, eng
             send(stub, checked, poses[HALF:])
             wait_until_paid(stub, checked)
             expect_found_and_told_once(stub, checked, group, cursor)
+
+
+def state_of(stub, name):
+    check = stub.GetCheck(api.GetCheckRequest(name=name.split("/candidates/")[0])).check
+    return next(state for state in check.states if state.name == name)
+
+
+def wait_for_state(stub, name, state, cause):
+    wait_until(lambda: (state_of(stub, name).state, state_of(stub, name).cause)
+               == (state, cause), f"{name} comes into state {state}")
+    return state_of(stub, name)
+
+
+def told_of(stub, cursor, name):
+    """What was told of a candidate, up to its last event."""
+    check = name.split("/candidates/")[0]
+    last = state_of(stub, name).event_number
+    told = []
+    for answer in stub.WatchCandidates(api.WatchCandidatesRequest(
+            cursor=cursor), timeout=60):
+        event = answer.candidate
+        if answer.WhichOneof("event") != "candidate" or event.check != check:
+            continue
+        if event.candidate.name == name:
+            told.append((event.candidate.state, event.candidate.cause))
+            if event.number == last:
+                return told
+    raise AssertionError("the watch ended")
+
+
+OPEN = (api.CANDIDATE_STATE_OPEN, api.CANDIDATE_CAUSE_CHECK)
+CONFIRMED = (api.CANDIDATE_STATE_CONFIRMED, api.CANDIDATE_CAUSE_LOOP_CLOSURE)
+UNDONE = (api.CANDIDATE_STATE_OPEN, api.CANDIDATE_CAUSE_DELETION)
+GONE = (api.CANDIDATE_STATE_WITHDRAWN, api.CANDIDATE_CAUSE_RETENTION)
+
+
+@pytest.mark.parametrize("engine", ["sqlite", "postgresql"])
+def test_links_decide_on_what_was_found_once_and_until_they_go(tmp_path, drive,
+                                                               engine):
+    with store_of(engine, tmp_path) as (store, flags):
+        with Server(store, *flags, log_path=tmp_path / "first.log") as server:
+            stub = server.stub()
+            checked, group = make_pair(stub, drive)
+            cursor = first_cursor(stub)
+            send(stub, checked, poses_of(drive, CHECKED))
+            wait_until_paid(stub, checked)
+            _, state, evidence = in_other(list_checks(stub, checked)[0])[0]
+            candidate = state.name
+            link = add_link(
+                stub, group, (evidence.matched_vehicle, evidence.matched.sequence),
+                (checked, evidence.query.sequence), link_id="tie").loop_closure.name
+            decided = wait_for_state(stub, candidate, *CONFIRMED)
+            assert decided.decision == link == f"{group}/loopClosures/tie"
+            assert told_of(stub, cursor, candidate) == [OPEN, CONFIRMED]
+            # Those elsewhere stay open.
+            assert any(state.state == api.CANDIDATE_STATE_OPEN for _, state, _
+                       in in_other(list_checks(stub, checked)[0]))
+        with Server(store, *flags, log_path=tmp_path / "second.log") as server:
+            stub = server.stub()
+            get(stub, checked)
+            delete_link(stub, link)
+            decided = wait_for_state(stub, candidate, *UNDONE)
+            assert not decided.decision
+            assert told_of(stub, cursor, candidate) == [OPEN, CONFIRMED, UNDONE]
+            remove_member(stub, f"{group}/members/{OTHER}")
+            wait_for_state(stub, candidate, *GONE)
+            assert told_of(stub, cursor, candidate) == [
+                OPEN, CONFIRMED, UNDONE, GONE]
 
 
 def test_without_a_membership_the_own_history_alone_is_searched(tmp_path, drive):

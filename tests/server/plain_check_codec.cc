@@ -41,8 +41,9 @@ std::string PlainCheckCodec::EncodeCheck(const StoredCheck& check) const {
          << " " << candidate.latest_rank << " " << candidate.probability << " "
          << candidate.value << " '" << candidate.actor << "' '"
          << candidate.decision << "' '" << candidate.contradicted << "' '"
-         << candidate.matched_vehicle << "' '" << candidate.matched_uid
-         << "'\n";
+         << candidate.matched_vehicle << "' '" << candidate.matched_uid << "' "
+         << candidate.place_first << " " << candidate.place_last << " '"
+         << candidate.group << "'\n";
   }
   return text.str();
 }
@@ -70,7 +71,8 @@ absl::StatusOr<StoredCheck> PlainCheckCodec::DecodeCheck(
           candidate.update_time_ns >> candidate.latest_rank >> probability >>
           value >> candidate.actor >> candidate.decision >>
           candidate.contradicted >> candidate.matched_vehicle >>
-          candidate.matched_uid)) {
+          candidate.matched_uid >> candidate.place_first >>
+          candidate.place_last >> candidate.group)) {
       return Corrupt("no check");
     }
     text.ignore();
@@ -81,6 +83,7 @@ absl::StatusOr<StoredCheck> PlainCheckCodec::DecodeCheck(
     candidate.contradicted = unquoted(candidate.contradicted);
     candidate.matched_vehicle = unquoted(candidate.matched_vehicle);
     candidate.matched_uid = unquoted(candidate.matched_uid);
+    candidate.group = unquoted(candidate.group);
     candidate.probability = std::strtod(probability.c_str(), nullptr);
     candidate.value = std::strtod(value.c_str(), nullptr);
   }

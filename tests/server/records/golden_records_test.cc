@@ -451,9 +451,9 @@ constexpr char kGoldenSecondCheck[] =
     "776655443322113001";
 // The same of a place in the history of another vehicle.
 constexpr char kGoldenGroupCheck[] =
-    "0a05666f756e64123008011803200128073a0210054806500259000000000000"
-    "e83f6100000000000004406a046c696e6b720376616e7a01751a037569642206"
-    "6c61746573742988776655443322113001";
+    "0a05666f756e64123d08011803200128073a0210054806500259000000000000"
+    "e83f6100000000000004406a046c696e6b720376616e7a017580010288010492"
+    "0104736974651a0375696422066c61746573742988776655443322113001";
 constexpr char kGoldenEvent[] =
     "0a05747275636b12037569641a4008071230080110021803200228023209746f"
     "6b656e3a626f623a1108adfaa7b3fbffffffff0110ebf9fba10342046c696e6b"
@@ -474,11 +474,17 @@ TEST(GoldenRecordTest, PlacesInOtherVehiclesAreWrittenAndReadAsEver) {
   StoredCheck check = GoldenSecondCheck();
   check.candidates[0].matched_vehicle = "van";
   check.candidates[0].matched_uid = "u";
+  check.candidates[0].place_first = 2;
+  check.candidates[0].place_last = 4;
+  check.candidates[0].group = "site";
   EXPECT_EQ(Hex(EncodeCheckRecord(check)), kGoldenGroupCheck);
   const auto read = DecodeCheckRecord(Bytes(kGoldenGroupCheck));
   ASSERT_THAT(read, IsOk());
   EXPECT_EQ(read->candidates.at(0).matched_vehicle, "van");
   EXPECT_EQ(read->candidates.at(0).matched_uid, "u");
+  EXPECT_EQ(read->candidates.at(0).place_first, 2u);
+  EXPECT_EQ(read->candidates.at(0).place_last, 4u);
+  EXPECT_EQ(read->candidates.at(0).group, "site");
   EXPECT_FALSE(read->candidates.at(0).is_own());
   EXPECT_TRUE(
       DecodeCheckRecord(Bytes(kGoldenCheck))->candidates.at(0).is_own());

@@ -4,6 +4,7 @@
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <map>
 #include <memory>
 #include <mutex>
@@ -47,6 +48,26 @@ class FakeScopes final : public CheckScopes {
     then(std::move(answer));
   }
 
+  void ReadGroup(const Request&, ThenGroup then) override {
+    absl::StatusOr<CheckGroupPtr> group;
+    {
+      const std::lock_guard<std::mutex> guard(mutex_);
+      group = group_;
+    }
+    then(std::move(group));
+  }
+
+  // Each time another version, as a change of the group would be.
+  void SetGroup(CheckGroup group) {
+    const std::lock_guard<std::mutex> guard(mutex_);
+    group.version = GroupVersion{"uid-of-site", ++revision_};
+    group_ = std::make_shared<const CheckGroup>(std::move(group));
+  }
+  void SetNoGroup() {
+    const std::lock_guard<std::mutex> guard(mutex_);
+    group_ = std::make_shared<const CheckGroup>();
+  }
+
   void Answer(absl::StatusOr<CheckScopePtr> answer) {
     const std::lock_guard<std::mutex> guard(mutex_);
     answer_ = std::move(answer);
@@ -61,6 +82,9 @@ class FakeScopes final : public CheckScopes {
   mutable std::mutex mutex_;
   absl::StatusOr<CheckScopePtr> answer_ =
       absl::UnavailableError("the group is not ready");
+  absl::StatusOr<CheckGroupPtr> group_ =
+      absl::UnavailableError("the store cannot be reached");
+  std::uint64_t revision_ = 0;
   Request last_;
   std::atomic<int> asked_{0};
 };
@@ -78,7 +102,7 @@ class GroupChecksTest : public StoredChecksTest {
  protected:
   GroupChecksTest() {
     policy_.scopes = &scopes_;
-    // Second searches are allowed by SearchAgain() alone.
+    // Second searches are allowed by GoOnWithChecks() alone.
     policy_.searches_per_change = 0;
     VehicleConfig config = TestConfig();
     config.uid = "uid-of-van";
@@ -99,9 +123,16 @@ class GroupChecksTest : public StoredChecksTest {
     scope->search.drives = std::make_shared<const core::JoinedDrives>(
         std::vector<core::JoinedDrive>{{view.Get()}},
         std::vector<core::FrameLink>());
-    scope->vehicles.push_back({"van", "uid-of-van"});
+    scope->vehicles.push_back({"van", "uid-of-van", 200});
+    scope->group_id = "site";
     with_van_ = std::move(scope);
     CloseNow(*van);
+  }
+
+  ~GroupChecksTest() override {
+    // It asks the scopes until it is closed.
+    if (session_ != nullptr) CloseNow(*session_);
+    session_.reset();
   }
 
   // A stored candidate in the history of `van`.
@@ -156,9 +187,53 @@ class GroupChecksTest : public StoredChecksTest {
     return added.Get().status();
   }
 
+  static CheckGroup WithMembers(std::vector<CheckGroup::Link> links = {}) {
+    CheckGroup group;
+    group.members = {{"truck", "uid-of-truck"}, {"van", "uid-of-van"}};
+    group.links = std::move(links);
+    return group;
+  }
+
+  // Makes the checks of a lap in the group, and answers what they found.
+  std::vector<InVan> FindInVan() {
+    scopes_.Answer(with_van_);
+    Create(GroupConfig());
+    EXPECT_THAT(AppendNow(*session_, SquareBatch(1, 200)), IsOk());
+    EXPECT_TRUE(IsPaid());
+    std::vector<InVan> found = AllInVan();
+    EXPECT_THAT(found, Not(IsEmpty()));
+    return found;
+  }
+
+  // Whether what the group says comes to hold.
+  bool ComesToHold(const std::function<bool(const InVan&)>& holds) {
+    return Eventually([&] {
+      session_->GoOnWithChecks();
+      ReadNow(*session_).IgnoreError();
+      const std::vector<InVan> all = AllInVan();
+      return std::all_of(all.begin(), all.end(), holds);
+    });
+  }
+
+  std::size_t CountTold(const CandidateId& id, const std::string& what) {
+    const std::string text = "truck " + std::to_string(id.check_sequence) +
+                             "/" + std::to_string(id.number) + " " + what;
+    const std::vector<std::string> told = EventsOf(id.check_sequence);
+    return static_cast<std::size_t>(std::count(told.begin(), told.end(), text));
+  }
+
   FakeScopes scopes_;
   CheckScopePtr with_van_;
 };
+
+// Whether the candidate lies at the places of a link, as numbers alone tell:
+// poses are a metre apart at least, and nearer ones are not asked about.
+bool IsAt(const CheckGroup::Link& link, std::uint64_t check,
+          const StoredCandidate& candidate) {
+  return check == link.own_sequence &&
+         candidate.place_first <= link.other_sequence &&
+         link.other_sequence <= candidate.place_last;
+}
 
 TEST_F(GroupChecksTest, ChecksFindWhatASearchInTheGroupFinds) {
   scopes_.Answer(with_van_);
@@ -194,16 +269,15 @@ TEST_F(GroupChecksTest, ChecksWaitWhileTheGroupIsNotReadyAndAppendsDoNot) {
   for (std::uint64_t first = 1; first <= 200; first += 2) {
     ASSERT_THAT(AppendNow(*session_, SquareBatch(first, 2)), IsOk());
   }
-  ASSERT_TRUE(Eventually([&] { return session_->has_waiting_searches(); }));
+  ASSERT_TRUE(Eventually([&] { return session_->has_waiting_checks(); }));
   EXPECT_GT(session_->check_debt(), 0);
   EXPECT_THAT(Checks(), IsEmpty());
   EXPECT_THAT(Events(), IsEmpty());
   // Once for all appends, unless these take seconds.
   EXPECT_LT(scopes_.asked(), 50);
   scopes_.Answer(with_van_);
-  session_->SearchAgain();
+  session_->GoOnWithChecks();
   ASSERT_TRUE(IsPaid());
-  EXPECT_FALSE(session_->has_waiting_searches());
   EXPECT_THAT(AllInVan(), Not(IsEmpty()));
 }
 
@@ -263,6 +337,10 @@ TEST_F(GroupChecksTest, SecondSearchesLookInTheGroupTooAndLeaveWhatIsAway) {
   const std::vector<InVan> before = AllInVan();
   ASSERT_THAT(before, Not(IsEmpty()));
   const auto search_again = [&](double keep) {
+    std::map<std::uint64_t, std::uint64_t> bases;
+    for (const CheckRecord& record : Checks()) {
+      bases[record.sequence] = check_codec_.DecodeCheck(record.payload)->basis;
+    }
     ASSERT_THAT(UpdateNow(*session_,
                           [keep](const VehicleView& view) {
                             VehicleConfig config = view.config;
@@ -270,10 +348,14 @@ TEST_F(GroupChecksTest, SecondSearchesLookInTheGroupTooAndLeaveWhatIsAway) {
                             return absl::StatusOr<VehicleConfig>(config);
                           }),
                 IsOk());
-    ASSERT_TRUE(Eventually([this] {
-      session_->SearchAgain();
+    ASSERT_TRUE(Eventually([&] {
+      session_->GoOnWithChecks();
       ReadNow(*session_).IgnoreError();
-      return !session_->has_waiting_searches();
+      for (const CheckRecord& record : Checks()) {
+        const StoredCheck check = *check_codec_.DecodeCheck(record.payload);
+        if (check.stale || check.basis == bases[record.sequence]) return false;
+      }
+      return true;
     }));
   };
   const auto states = [this] {
@@ -307,6 +389,135 @@ TEST_F(GroupChecksTest, SecondSearchesLookInTheGroupTooAndLeaveWhatIsAway) {
   for (const auto& [id, state] : states()) {
     EXPECT_EQ(state, CandidateState::kWithdrawn);
   }
+}
+
+TEST_F(GroupChecksTest, ALinkConfirmsWhatLiesAtItsPlacesUntilItGoes) {
+  const InVan first = FindInVan().front();
+  EXPECT_LE(first.candidate.place_first, first.candidate.matched_sequence);
+  EXPECT_GE(first.candidate.place_last, first.candidate.matched_sequence);
+  EXPECT_EQ(first.candidate.group, "site");
+  const CheckGroup::Link link{"tie", first.id.check_sequence, "uid-of-van",
+                              first.candidate.matched_sequence, "bob"};
+  // Another vehicle's, and one elsewhere, say nothing.
+  CheckGroup::Link of_other = link;
+  of_other.id = "a-other";
+  of_other.other_uid = "uid-of-another-van";
+  scopes_.SetGroup(WithMembers({of_other, link}));
+  const auto is_confirmed = [](const StoredCandidate& candidate) {
+    return candidate.state == CandidateState::kConfirmed &&
+           candidate.cause == CandidateCause::kLoopClosure &&
+           candidate.decision == "tie" && candidate.actor == "bob";
+  };
+  ASSERT_TRUE(ComesToHold([&](const InVan& one) {
+    return !IsAt(link, one.id.check_sequence, one.candidate) ||
+           is_confirmed(one.candidate);
+  }));
+  EXPECT_EQ(CountTold(first.id, "confirmed by tie, said bob"), 1u);
+  const std::vector<InVan> all = AllInVan();
+  EXPECT_TRUE(std::any_of(all.begin(), all.end(), [](const InVan& one) {
+    return one.candidate.state == CandidateState::kOpen;
+  }));
+
+  // Nothing is told again: not by a later look, nor another server's.
+  const std::size_t told = Events().size();
+  for (int i = 0; i < 2; ++i) {
+    scopes_.SetGroup(WithMembers({link}));
+    Reload();
+    ASSERT_TRUE(ComesToHold([](const InVan&) { return true; }));
+    ReadNow(*session_).IgnoreError();
+  }
+  CloseNow(*session_);
+  EXPECT_EQ(Events().size(), told);
+
+  session_ = Load();
+  scopes_.SetGroup(WithMembers());
+  ASSERT_TRUE(ComesToHold([](const InVan& one) {
+    return one.candidate.state == CandidateState::kOpen;
+  }));
+  EXPECT_EQ(CountTold(first.id, "open"), 2u);
+  for (const InVan& one : AllInVan()) {
+    if (one.id.check_sequence != first.id.check_sequence ||
+        one.id.number != first.id.number) {
+      continue;
+    }
+    EXPECT_EQ(one.candidate.cause, CandidateCause::kDeletion);
+    EXPECT_EQ(one.candidate.decision, "");
+  }
+}
+
+TEST_F(GroupChecksTest, ACheckThatIsMadeAfterTheLinkIsDecidedToo) {
+  // The places are found by a first vehicle of the same path.
+  const std::vector<InVan> found = FindInVan();
+  const InVan last = found.back();
+  ASSERT_THAT(DeleteNow(*session_), IsOk());
+  CloseNow(*session_);
+  const CheckGroup::Link link{"tie", last.id.check_sequence, "uid-of-van",
+                              last.candidate.matched_sequence, ""};
+  scopes_.SetGroup(WithMembers({link}));
+  Create(GroupConfig());
+  for (std::uint64_t first = 1; first <= 200; first += 20) {
+    ASSERT_THAT(AppendNow(*session_, SquareBatch(first, 20)), IsOk());
+  }
+  ASSERT_TRUE(IsPaid());
+  EXPECT_TRUE(Eventually([&] {
+    const std::vector<InVan> all = AllInVan();
+    return std::any_of(all.begin(), all.end(), [&](const InVan& one) {
+      return IsAt(link, one.id.check_sequence, one.candidate) &&
+             one.candidate.state == CandidateState::kConfirmed;
+    });
+  }));
+}
+
+TEST_F(GroupChecksTest, WhatIsInVehiclesThatAreNoMembersIsWithdrawn) {
+  const std::vector<InVan> found = FindInVan();
+  const auto is_withdrawn = [](const InVan& one) {
+    return one.candidate.state == CandidateState::kWithdrawn &&
+           one.candidate.cause == CandidateCause::kRetention;
+  };
+  // Another one of that name is another one; of a damaged one nothing is known.
+  CheckGroup group = WithMembers();
+  group.members["van"] = "";
+  scopes_.SetGroup(group);
+  ASSERT_TRUE(ComesToHold([](const InVan& one) {
+    return one.candidate.state == CandidateState::kOpen;
+  }));
+  group.members["van"] = "uid-of-another-van";
+  scopes_.SetGroup(group);
+  ASSERT_TRUE(ComesToHold(is_withdrawn));
+  EXPECT_EQ(CountTold(found.front().id, "withdrawn"), 1u);
+  Reload();
+  scopes_.SetNoGroup();
+  ASSERT_TRUE(ComesToHold(is_withdrawn));
+  EXPECT_EQ(CountTold(found.front().id, "withdrawn"), 1u);
+}
+
+TEST_F(GroupChecksTest, AGroupThatIsGoneLeavesNothingOpen) {
+  FindInVan();
+  scopes_.SetNoGroup();
+  EXPECT_TRUE(ComesToHold([](const InVan& one) {
+    return one.candidate.state == CandidateState::kWithdrawn;
+  }));
+}
+
+TEST_F(GroupChecksTest, AnotherGroupSaysNothingOfWhatWasFound) {
+  FindInVan();
+  ASSERT_THAT(UpdateNow(*session_,
+                        [](const VehicleView& view) {
+                          VehicleConfig config = view.config;
+                          config.check_group = "another";
+                          return absl::StatusOr<VehicleConfig>(config);
+                        }),
+              IsOk());
+  scopes_.SetNoGroup();
+  const std::size_t told = Events().size();
+  Reload();
+  for (int i = 0; i < 3; ++i) {
+    session_->GoOnWithChecks();
+    ReadNow(*session_).IgnoreError();
+  }
+  CloseNow(*session_);
+  EXPECT_EQ(Events().size(), told);
+  session_ = Load();
 }
 
 }  // namespace

@@ -50,9 +50,9 @@ class SecondSearchesTest : public StoredChecksTest {
   // allowed.
   bool IsFresh() {
     return Eventually([this] {
-      session_->SearchAgain();
+      session_->GoOnWithChecks();
       ReadNow(*session_).IgnoreError();
-      if (session_->has_waiting_searches()) return false;
+      if (session_->has_waiting_checks()) return false;
       const auto stored = Stored();
       return std::none_of(stored.begin(), stored.end(),
                           [](const auto& one) { return one.second.stale; });
@@ -307,7 +307,7 @@ TEST_F(SecondSearchesTest, AChangeAllowsSoManySearchesAndTheRestWaits) {
                 stored.begin(), stored.end(),
                 [](const auto& one) { return one.second.stale; })),
             all - most);
-  EXPECT_TRUE(session_->has_waiting_searches());
+  EXPECT_TRUE(session_->has_waiting_checks());
   ASSERT_TRUE(IsFresh());
   EXPECT_GE(searched() - before, all);
   ExpectAsSearchedAnew();
@@ -340,7 +340,7 @@ TEST_F(SecondSearchesTest, IsNotStaleWhereTheVehicleIsAgainWhatItWas) {
   ASSERT_TRUE(Eventually([&] { return stale() > 0; }));
   ASSERT_THAT(DeletePairNow(*session_, PairKind::kLoopClosure, "link"), IsOk());
   EXPECT_TRUE(Eventually([&] { return stale() == 0; }));
-  EXPECT_TRUE(Eventually([&] { return !session_->has_waiting_searches(); }));
+  EXPECT_TRUE(Eventually([&] { return !session_->has_waiting_checks(); }));
 }
 
 TEST_F(SecondSearchesTest, EndsAtWhatSearchesFindWhateverComesBetween) {

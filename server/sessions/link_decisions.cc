@@ -1,0 +1,156 @@
+#include "server/sessions/link_decisions.h"
+
+#include <algorithm>
+#include <memory>
+#include <utility>
+
+#include "absl/status/status.h"
+#include "server/storage/storage.h"
+
+namespace revisit::server {
+namespace {
+
+// Rows of one page of a look, some milliseconds.
+constexpr int kChecksPerLinkLook = 100;
+
+}  // namespace
+
+bool LinkDecisions::MayLook() const {
+  return scopes_ != nullptr && changes_->MayWork() &&
+         changes_->HasCandidates() &&
+         !vehicle_->head.config().check_group.empty();
+}
+
+void LinkDecisions::LookAt(std::uint64_t check_sequence) {
+  new_from_ = std::min(new_from_.value_or(check_sequence), check_sequence);
+  asks_ = true;
+}
+
+void LinkDecisions::Consider() {
+  is_watching_.store(MayLook());
+  if (!asks_ || is_at_work_ || !MayLook()) return;
+  is_at_work_ = true;
+  asks_ = false;
+  Ask();
+}
+
+void LinkDecisions::Ask() {
+  const std::string& group = vehicle_->head.config().check_group;
+  group_id_ = group;
+  const auto read = std::make_shared<CheckGroupPtr>();
+  const WriteDone on_strand =
+      queue_->OnStrand([this, read](const absl::Status& status) {
+        if (status.ok() && MayLook()) {
+          Take(std::move(*read));
+        } else {
+          // The next look asks again.
+          is_at_work_ = false;
+        }
+      });
+  scopes_->ReadGroup({group, vehicle_->id, vehicle_->head.key()},
+                     [read, on_strand](absl::StatusOr<CheckGroupPtr> answer) {
+                       if (answer.ok()) *read = *std::move(answer);
+                       on_strand(answer.status());
+                     });
+}
+
+void LinkDecisions::Take(CheckGroupPtr group) {
+  const bool is_seen = looked_ && looked_->group == group_id_ &&
+                       looked_->version == group->version;
+  if (is_seen && !new_from_) {
+    is_at_work_ = false;
+    return;
+  }
+  look_from_ = is_seen ? *new_from_ : 1;
+  new_from_.reset();
+  group_ = std::move(group);
+  LookAtNextPage();
+}
+
+void LinkDecisions::LookAtNextPage() {
+  steps_.Run([this] { return LookAtPage(); },
+             [this](bool ok) {
+               if (ok && look_from_ != 0) {
+                 LookAtNextPage();
+                 return;
+               }
+               is_at_work_ = false;
+               looked_.reset();
+               if (ok) looked_ = Seen{group_id_, group_->version};
+               group_.reset();
+               if (ok) Consider();
+             });
+}
+
+absl::StatusOr<ChecksWrite> LinkDecisions::LookAtPage() {
+  ChecksWrite write = changes_->Begin();
+  const auto page =
+      vehicle_->storage->ListChecks(vehicle_->head.key(), look_from_,
+                                    kLastSequence, false, kChecksPerLinkLook);
+  if (!page.ok()) return page.status();
+  look_from_ = static_cast<int>(page->size()) < kChecksPerLinkLook
+                   ? 0
+                   : page->back().sequence + 1;
+  for (const CheckRecord& record : *page) LookAt(record, &write);
+  return write;
+}
+
+void LinkDecisions::LookAt(const CheckRecord& record,
+                           ChecksWrite* write) const {
+  std::optional<StoredCheck> check = changes_->Read(record);
+  if (!check) return;
+  for (std::size_t i = 0; i < check->candidates.size(); ++i) {
+    const auto transition = Judge(record.sequence, check->candidates[i]);
+    if (transition) changes_->Change(record, &*check, i, *transition, write);
+  }
+}
+
+std::optional<CandidateTransition> LinkDecisions::Judge(
+    std::uint64_t check_sequence, const StoredCandidate& candidate) const {
+  // Those that were found in another group, or in none, stay what they are.
+  if (candidate.is_own() || candidate.group != group_id_) return std::nullopt;
+  const bool is_confirmed = candidate.state == CandidateState::kConfirmed;
+  const bool is_decided =
+      is_confirmed && std::any_of(group_->links.begin(), group_->links.end(),
+                                  [&](const CheckGroup::Link& link) {
+                                    return link.id == candidate.decision;
+                                  });
+  if (is_decided) return std::nullopt;
+  const std::int64_t now_ns = vehicle_->clock();
+  if (const auto* const link = FindLink(check_sequence, candidate)) {
+    return CandidateTransition{CandidateState::kConfirmed,
+                               CandidateCause::kLoopClosure, link->decided_by,
+                               now_ns, link->id};
+  }
+  const bool is_open = candidate.state == CandidateState::kOpen;
+  if (!IsThere(candidate) && (is_open || is_confirmed)) {
+    return CandidateTransition{CandidateState::kWithdrawn,
+                               CandidateCause::kRetention, "", now_ns, ""};
+  }
+  if (is_confirmed) {
+    return CandidateTransition{CandidateState::kOpen, CandidateCause::kDeletion,
+                               "", now_ns, ""};
+  }
+  return std::nullopt;
+}
+
+const CheckGroup::Link* LinkDecisions::FindLink(
+    std::uint64_t check_sequence, const StoredCandidate& candidate) const {
+  const auto found = std::find_if(
+      group_->links.begin(), group_->links.end(),
+      [&](const CheckGroup::Link& link) {
+        return link.other_uid == candidate.matched_uid &&
+               link.other_sequence >= candidate.place_first &&
+               link.other_sequence <= candidate.place_last &&
+               changes_->AreNear(link.own_sequence, check_sequence);
+      });
+  return found == group_->links.end() ? nullptr : &*found;
+}
+
+bool LinkDecisions::IsThere(const StoredCandidate& candidate) const {
+  const auto member = group_->members.find(candidate.matched_vehicle);
+  return member != group_->members.end() &&
+         (member->second.empty() || member->second == candidate.matched_uid);
+}
+
+}  // namespace revisit::server

@@ -1,0 +1,97 @@
+// What becomes of stored candidates in the histories of other vehicles by what
+// their group says: loop closures between the two vehicles confirm those at
+// their places, and those of vehicles that are members no more are withdrawn.
+//
+// Any server writes a group, so the one that has the vehicle looks from time to
+// time whether the group was changed, and then through the rows, a page at a
+// time, between other work of the vehicle. What is to be changed follows from
+// the rows and the group, so whoever loads the vehicle comes to the same, and
+// nothing is told twice.
+#ifndef REVISIT_SERVER_SESSIONS_LINK_DECISIONS_H_
+#define REVISIT_SERVER_SESSIONS_LINK_DECISIONS_H_
+
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <string>
+
+#include "absl/status/statusor.h"
+#include "server/sessions/check_changes.h"
+#include "server/sessions/check_scopes.h"
+#include "server/sessions/check_steps.h"
+#include "server/sessions/vehicle_queue.h"
+#include "server/sessions/vehicle_state.h"
+#include "server/storage/records.h"
+
+namespace revisit::server {
+
+// Belongs to the strand, but for what is said to be called from any thread.
+class LinkDecisions {
+ public:
+  // `scopes`: null where no checks search in groups.
+  LinkDecisions(VehicleState* vehicle, VehicleQueue* queue,
+                const CheckChanges* changes, CheckScopes* scopes)
+      : vehicle_(vehicle),
+        queue_(queue),
+        changes_(changes),
+        scopes_(scopes),
+        steps_(vehicle, queue, changes) {}
+
+  LinkDecisions(const LinkDecisions&) = delete;
+  LinkDecisions& operator=(const LinkDecisions&) = delete;
+
+  // Goes on. Call after a load and every change; costs next to nothing where
+  // there is nothing to do.
+  void Consider();
+  // Whether LookAgain() is to be called from time to time. From any thread.
+  bool is_watching() const { return is_watching_.load(); }
+  // The group may have been changed.
+  void LookAgain() { asks_ = true; }
+  // A check at this pose was stored, or has more candidates.
+  void LookAt(std::uint64_t check_sequence);
+
+ private:
+  // What was looked at: a group, as of a version.
+  struct Seen {
+    std::string group;
+    std::optional<GroupVersion> version;
+  };
+
+  bool MayLook() const;
+  void Ask();
+  void Take(CheckGroupPtr group);
+  void LookAtNextPage();
+  absl::StatusOr<ChecksWrite> LookAtPage();
+  void LookAt(const CheckRecord& record, ChecksWrite* write) const;
+  // The state into which the group has a candidate come, if it is another one.
+  std::optional<CandidateTransition> Judge(
+      std::uint64_t check_sequence, const StoredCandidate& candidate) const;
+  // The link that confirms a candidate, or null.
+  const CheckGroup::Link* FindLink(std::uint64_t check_sequence,
+                                   const StoredCandidate& candidate) const;
+  bool IsThere(const StoredCandidate& candidate) const;
+
+  VehicleState* const vehicle_;
+  VehicleQueue* const queue_;
+  const CheckChanges* const changes_;
+  CheckScopes* const scopes_;
+  CheckSteps steps_;
+
+  // Whether the group is to be asked for, and whether a look is under way.
+  bool asks_ = true;
+  bool is_at_work_ = false;
+  // As of which all rows were looked at, but for those from `new_from_` on.
+  std::optional<Seen> looked_;
+  std::optional<std::uint64_t> new_from_;
+  // ---- The look
+  std::string group_id_;
+  CheckGroupPtr group_;
+  std::uint64_t look_from_ = 0;
+
+  std::atomic<bool> is_watching_{false};
+};
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_SESSIONS_LINK_DECISIONS_H_
