@@ -59,15 +59,15 @@ void Encode(const std::string& vehicle_id, std::uint64_t check_sequence,
   const std::string& decision =
       is_contradicted ? candidate.contradicted : candidate.decision;
   if (decision.empty()) return;
-  if (!candidate.is_own()) {
-    message->set_decision(GroupLinkName(candidate.group, decision));
-    return;
-  }
-  message->set_decision(PosePairResourceName(
+  const PairKind kind =
       is_contradicted || candidate.state == CandidateState::kConfirmed
           ? PairKind::kLoopClosure
-          : PairKind::kRejectedCandidate,
-      vehicle_id, decision));
+          : PairKind::kRejectedCandidate;
+  if (!candidate.is_own()) {
+    message->set_decision(GroupLinkName(kind, candidate.group, decision));
+    return;
+  }
+  message->set_decision(PosePairResourceName(kind, vehicle_id, decision));
 }
 
 const v1::Candidate* WithRank(const v1::CandidateSet& set, int rank) {

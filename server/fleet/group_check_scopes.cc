@@ -9,6 +9,7 @@
 
 #include "absl/status/status.h"
 #include "server/fleet/group_searches.h"
+#include "server/groups/link_kind.h"
 #include "server/records/group_content.h"
 
 namespace revisit::server {
@@ -58,8 +59,8 @@ std::optional<CheckGroup::Link> LinkOf(
   const VehiclePose& other = asks ? record.matched : record.query;
   const auto uid = uids.find(other.vehicle);
   if (uid == uids.end()) return std::nullopt;
-  CheckGroup::Link link{record.id, own.sequence, uid->second, other.sequence,
-                        ""};
+  CheckGroup::Link link{KindOf(record), LinkIdOf(record), own.sequence,
+                        uid->second,    other.sequence,   ""};
   const absl::Status read =
       ReadLinkContent(record.payload, [&](const LinkContent& content) {
         link.decided_by = std::string(content.content.decided_by);
@@ -82,6 +83,10 @@ absl::StatusOr<CheckGroupPtr> GroupOf(
   }
   for (const StoredLink& stored : named->group->links) {
     auto link = LinkOf(request, stored.record, named->uids);
+    if (link) group->links.push_back(*std::move(link));
+  }
+  for (const GroupLinkRecord& rejected : named->group->rejected) {
+    auto link = LinkOf(request, rejected, named->uids);
     if (link) group->links.push_back(*std::move(link));
   }
   return group;

@@ -42,8 +42,10 @@ using CheckScopePtr = std::shared_ptr<const CheckScope>;
 // What a group says of a vehicle's places in the histories of others. Never
 // changes.
 struct CheckGroup {
-  // A loop closure between the vehicle and another one.
+  // A loop closure between the vehicle and another one, or a rejected
+  // candidate.
   struct Link {
+    PairKind kind = PairKind::kLoopClosure;
     std::string id;
     std::uint64_t own_sequence = 0;
     std::string other_uid;
@@ -55,7 +57,8 @@ struct CheckGroup {
   std::optional<GroupVersion> version;
   // The uids of the members by their ids; empty where a vehicle is damaged.
   std::map<std::string, std::string> members;
-  // In the order in which they were added.
+  // The loop closures in the order in which they were added, then the rejected
+  // candidates.
   std::vector<Link> links;
 };
 using CheckGroupPtr = std::shared_ptr<const CheckGroup>;

@@ -13,6 +13,16 @@ namespace {
 // Rows of one page of a look, some milliseconds.
 constexpr int kChecksPerLinkLook = 100;
 
+CandidateState StateBy(const CheckGroup::Link& link) {
+  return link.kind == PairKind::kLoopClosure ? CandidateState::kConfirmed
+                                             : CandidateState::kRejected;
+}
+
+CandidateCause CauseBy(const CheckGroup::Link& link) {
+  return link.kind == PairKind::kLoopClosure ? CandidateCause::kLoopClosure
+                                             : CandidateCause::kRejection;
+}
+
 }  // namespace
 
 bool LinkDecisions::MayLook() const {
@@ -109,25 +119,26 @@ std::optional<CandidateTransition> LinkDecisions::Judge(
     std::uint64_t check_sequence, const StoredCandidate& candidate) const {
   // Those that were found in another group, or in none, stay what they are.
   if (candidate.is_own() || candidate.group != group_id_) return std::nullopt;
-  const bool is_confirmed = candidate.state == CandidateState::kConfirmed;
+  const bool was_decided = candidate.state == CandidateState::kConfirmed ||
+                           candidate.state == CandidateState::kRejected;
   const bool is_decided =
-      is_confirmed && std::any_of(group_->links.begin(), group_->links.end(),
-                                  [&](const CheckGroup::Link& link) {
-                                    return link.id == candidate.decision;
-                                  });
+      was_decided && std::any_of(group_->links.begin(), group_->links.end(),
+                                 [&](const CheckGroup::Link& link) {
+                                   return StateBy(link) == candidate.state &&
+                                          link.id == candidate.decision;
+                                 });
   if (is_decided) return std::nullopt;
   const std::int64_t now_ns = vehicle_->clock();
   if (const auto* const link = FindLink(check_sequence, candidate)) {
-    return CandidateTransition{CandidateState::kConfirmed,
-                               CandidateCause::kLoopClosure, link->decided_by,
+    return CandidateTransition{StateBy(*link), CauseBy(*link), link->decided_by,
                                now_ns, link->id};
   }
   const bool is_open = candidate.state == CandidateState::kOpen;
-  if (!IsThere(candidate) && (is_open || is_confirmed)) {
+  if (!IsThere(candidate) && (is_open || was_decided)) {
     return CandidateTransition{CandidateState::kWithdrawn,
                                CandidateCause::kRetention, "", now_ns, ""};
   }
-  if (is_confirmed) {
+  if (was_decided) {
     return CandidateTransition{CandidateState::kOpen, CandidateCause::kDeletion,
                                "", now_ns, ""};
   }

@@ -1,6 +1,7 @@
 // What becomes of stored candidates in the histories of other vehicles by what
 // their group says: loop closures between the two vehicles confirm those at
-// their places, and those of vehicles that are members no more are withdrawn.
+// their places, rejected candidates reject them, and those of vehicles that are
+// members no more are withdrawn.
 //
 // Any server writes a group, so the one that has the vehicle looks from time to
 // time whether the group was changed, and then through the rows, a page at a
@@ -67,7 +68,8 @@ class LinkDecisions {
   // The state into which the group has a candidate come, if it is another one.
   std::optional<CandidateTransition> Judge(
       std::uint64_t check_sequence, const StoredCandidate& candidate) const;
-  // The link that confirms a candidate, or null.
+  // The link that decides a candidate, or null; a loop closure before a
+  // rejected candidate.
   const CheckGroup::Link* FindLink(std::uint64_t check_sequence,
                                    const StoredCandidate& candidate) const;
   bool IsThere(const StoredCandidate& candidate) const;

@@ -8,7 +8,7 @@ import pytest
 from google.protobuf import field_mask_pb2
 
 from grouping import (add_link, add_member, create_group, delete_group, delete_link,
-                      remove_member)
+                      delete_rejected, reject, remove_member)
 from own_postgres import own_postgres
 from private_cluster import find_postgres
 from revisit_server import Server, run, wait_until
@@ -191,6 +191,7 @@ def told_of(stub, cursor, name):
 
 OPEN = (api.CANDIDATE_STATE_OPEN, api.CANDIDATE_CAUSE_CHECK)
 CONFIRMED = (api.CANDIDATE_STATE_CONFIRMED, api.CANDIDATE_CAUSE_LOOP_CLOSURE)
+REJECTED = (api.CANDIDATE_STATE_REJECTED, api.CANDIDATE_CAUSE_REJECTION)
 UNDONE = (api.CANDIDATE_STATE_OPEN, api.CANDIDATE_CAUSE_DELETION)
 GONE = (api.CANDIDATE_STATE_WITHDRAWN, api.CANDIDATE_CAUSE_RETENTION)
 
@@ -223,10 +224,18 @@ def test_links_decide_on_what_was_found_once_and_until_they_go(tmp_path, drive,
             decided = wait_for_state(stub, candidate, *UNDONE)
             assert not decided.decision
             assert told_of(stub, cursor, candidate) == [OPEN, CONFIRMED, UNDONE]
+            rejection = reject(
+                stub, group, (checked, evidence.query.sequence),
+                (evidence.matched_vehicle, evidence.matched.sequence),
+                rejected_id="tie").rejected_candidate.name
+            decided = wait_for_state(stub, candidate, *REJECTED)
+            assert decided.decision == rejection
+            delete_rejected(stub, rejection)
+            wait_for_state(stub, candidate, *UNDONE)
             remove_member(stub, f"{group}/members/{OTHER}")
             wait_for_state(stub, candidate, *GONE)
             assert told_of(stub, cursor, candidate) == [
-                OPEN, CONFIRMED, UNDONE, GONE]
+                OPEN, CONFIRMED, UNDONE, REJECTED, UNDONE, GONE]
 
 
 def test_without_a_membership_the_own_history_alone_is_searched(tmp_path, drive):

@@ -9,6 +9,7 @@
 #include "gtest/gtest.h"
 #include "server/base/status.h"
 #include "server/conversion/names.h"
+#include "server/groups/link_kind.h"
 #include "tests/server/conversion/conversion_testing.h"
 #include "tests/server/error_matchers.h"
 

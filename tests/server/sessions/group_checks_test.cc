@@ -396,7 +396,8 @@ TEST_F(GroupChecksTest, ALinkConfirmsWhatLiesAtItsPlacesUntilItGoes) {
   EXPECT_LE(first.candidate.place_first, first.candidate.matched_sequence);
   EXPECT_GE(first.candidate.place_last, first.candidate.matched_sequence);
   EXPECT_EQ(first.candidate.group, "site");
-  const CheckGroup::Link link{"tie", first.id.check_sequence, "uid-of-van",
+  const CheckGroup::Link link{PairKind::kLoopClosure,           "tie",
+                              first.id.check_sequence,          "uid-of-van",
                               first.candidate.matched_sequence, "bob"};
   // Another vehicle's, and one elsewhere, say nothing.
   CheckGroup::Link of_other = link;
@@ -445,13 +446,42 @@ TEST_F(GroupChecksTest, ALinkConfirmsWhatLiesAtItsPlacesUntilItGoes) {
   }
 }
 
+TEST_F(GroupChecksTest, ARejectedCandidateRejectsUntilItGoesOrALinkSaysMore) {
+  const InVan first = FindInVan().front();
+  const CheckGroup::Link rejection{
+      PairKind::kRejectedCandidate,     "no",
+      first.id.check_sequence,          "uid-of-van",
+      first.candidate.matched_sequence, "eve"};
+  const auto comes_to = [&](CandidateState state, const std::string& decision) {
+    return ComesToHold([&](const InVan& one) {
+      return !IsAt(rejection, one.id.check_sequence, one.candidate) ||
+             (one.candidate.state == state &&
+              one.candidate.decision == decision);
+    });
+  };
+  scopes_.SetGroup(WithMembers({rejection}));
+  ASSERT_TRUE(comes_to(CandidateState::kRejected, "no"));
+  EXPECT_EQ(CountTold(first.id, "rejected by no, said eve"), 1u);
+  CheckGroup::Link link = rejection;
+  link.kind = PairKind::kLoopClosure;
+  link.id = "tie";
+  // What is decided stays so, until the pair that decided goes.
+  scopes_.SetGroup(WithMembers({link, rejection}));
+  ASSERT_TRUE(comes_to(CandidateState::kRejected, "no"));
+  scopes_.SetGroup(WithMembers({link}));
+  ASSERT_TRUE(comes_to(CandidateState::kConfirmed, "tie"));
+  scopes_.SetGroup(WithMembers());
+  ASSERT_TRUE(comes_to(CandidateState::kOpen, ""));
+}
+
 TEST_F(GroupChecksTest, ACheckThatIsMadeAfterTheLinkIsDecidedToo) {
   // The places are found by a first vehicle of the same path.
   const std::vector<InVan> found = FindInVan();
   const InVan last = found.back();
   ASSERT_THAT(DeleteNow(*session_), IsOk());
   CloseNow(*session_);
-  const CheckGroup::Link link{"tie", last.id.check_sequence, "uid-of-van",
+  const CheckGroup::Link link{PairKind::kLoopClosure,          "tie",
+                              last.id.check_sequence,          "uid-of-van",
                               last.candidate.matched_sequence, ""};
   scopes_.SetGroup(WithMembers({link}));
   Create(GroupConfig());
