@@ -34,10 +34,13 @@ TEST(NamesTest, NamesInGroupsAreReadAsTheyAreWritten) {
   ASSERT_THAT(member, IsOk());
   EXPECT_EQ(member->group_id, "g");
   EXPECT_EQ(member->id, "truck");
-  const auto link = ParseGroupLinkName(GroupLinkName("g", "gate"), FieldPath());
-  ASSERT_THAT(link, IsOk());
-  EXPECT_EQ(link->group_id, "g");
-  EXPECT_EQ(link->id, "gate");
+  for (const PairKind kind : kPairKinds) {
+    const auto link =
+        ParseGroupLinkName(kind, GroupLinkName(kind, "g", "gate"), FieldPath());
+    ASSERT_THAT(link, IsOk());
+    EXPECT_EQ(link->group_id, "g");
+    EXPECT_EQ(link->id, "gate");
+  }
 }
 
 // Their names were taken for those of nothing.
@@ -68,7 +71,9 @@ TEST(NamesTest, RefusesNamesThatAreNoneInGroups) {
     };
     refused(ParseGroupName(name, FieldPath().Field("name")));
     refused(ParseMemberName(name, FieldPath().Field("name")));
-    refused(ParseGroupLinkName(name, FieldPath().Field("name")));
+    for (const PairKind kind : kPairKinds) {
+      refused(ParseGroupLinkName(kind, name, FieldPath().Field("name")));
+    }
   }
 }
 

@@ -138,7 +138,8 @@ TEST_F(JoinGroupTest, RejectedCandidatesTieNothingAndAreNotSought) {
       JoinGroup(std::make_shared<const StoredGroup>(group_), histories_,
                 [](const KnownHistory&, std::uint64_t) {
                   return std::optional<core::PoseEstimate>();
-                });
+                },
+                /*before=*/nullptr);
   const core::DriveView& asking = joined->drives->view(0);
   const auto at = [&](std::uint64_t sequence) {
     return joined->drives->NotSought(
