@@ -20,7 +20,7 @@ struct FramedStretch {
   std::size_t first_node = 0;
   // Its frame in that of the map; nothing where nothing ties the two.
   std::optional<v1::StatePose> frame_pose;
-  // As in MapRecording.
+  // The same as in MapRecording.
   std::string label;
   std::string color;
   std::string vehicle = "";

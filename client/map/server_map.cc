@@ -160,7 +160,7 @@ void Name(const std::string& vehicle, ServerMap* map) {
   }
 }
 
-// What a verifier has told of a vehicle's own history.
+// The pairs of a vehicle's own history that a verifier has looked at.
 struct OwnPairs {
   std::vector<v1::LoopClosure> closures;
   std::vector<v1::RejectedCandidate> rejections;

@@ -29,7 +29,7 @@ struct OtherVehicle {
 struct ServerMap {
   v1::Vehicle vehicle;
   MapContents contents;
-  // Those of the group that have nodes, before the vehicle's own.
+  // The group's vehicles that have nodes, which lie before the vehicle's own.
   std::vector<OtherVehicle> others = {};
 };
 

@@ -1,4 +1,4 @@
-// What the server knows of the vehicles of a group, read page after page.
+// Lists of the vehicles of a group, read page after page.
 #ifndef REVISIT_CLIENT_TRAJECTORY_STORED_GROUPS_H_
 #define REVISIT_CLIENT_TRAJECTORY_STORED_GROUPS_H_
 

@@ -16,8 +16,8 @@ namespace revisit::core {
 // Immutable.
 class MotionPool {
  public:
-  // Those of all nodes of the views. O(nodes log(nodes)). REQUIRES: there is a
-  // view, and all have stretches of as many nodes.
+  // Pools the motion of all nodes of the views. O(nodes log(nodes)). REQUIRES:
+  // there is a view, and all have stretches of as many nodes.
   explicit MotionPool(const std::vector<const DriveView*>& views);
 
   NodeIndex stretch_nodes() const { return stretch_nodes_; }

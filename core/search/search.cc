@@ -129,7 +129,7 @@ class Search::Impl {
     bool across = false;
     // Nodes of other drives that are.
     NodeIndex others = 0;
-    // Of the drive's own nodes.
+    // Counts the drive's own nodes only.
     std::int64_t comparisons = 0;
   };
   // The marks that show something at a query.

@@ -94,7 +94,7 @@ void SetPose(const std::string& vehicle_id, std::uint64_t sequence,
   pose->set_sequence(sequence);
 }
 
-// What a message says beside its poses.
+// Reads all of a message but its poses.
 PairContent ContentOf(const v1::InterVehicleLoopClosure& closure,
                       const FieldPath& path, Violations* violations) {
   return LoopContentOf(closure, path, violations);

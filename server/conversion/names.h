@@ -59,7 +59,7 @@ absl::StatusOr<std::string> ParseGroupName(const std::string& name,
 // The ids in the name of what belongs to a group.
 struct NameInGroup {
   std::string group_id;
-  // Of the vehicle, the loop closure, or the rejected candidate.
+  // The id of the vehicle, the loop closure, or the rejected candidate.
   std::string id;
 };
 absl::StatusOr<NameInGroup> ParseMemberName(const std::string& name,

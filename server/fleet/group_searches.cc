@@ -267,7 +267,7 @@ struct GroupSearches::State {
   mutable Mutex mutex;
   std::map<std::string, std::shared_ptr<HistoryKeeper>> keepers
       ABSL_GUARDED_BY(mutex);
-  // Of vehicles that are or were members; they never change.
+  // The uids of vehicles that are or were members; they never change.
   std::map<VehicleKey, std::string> uids ABSL_GUARDED_BY(mutex);
 };
 

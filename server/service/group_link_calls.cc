@@ -65,7 +65,7 @@ absl::Status Add(const ServiceContext& service, const UnaryCallPtr& call,
   return absl::OkStatus();
 }
 
-// Those of a group's vehicles that the caller may read.
+// Returns the members of a group that the caller may read.
 absl::StatusOr<std::map<VehicleKey, std::string>> ReadableMembers(
     GroupStorage* groups, const std::string& group_id, const UnaryCall& call) {
   std::map<VehicleKey, std::string> vehicles;

@@ -1,4 +1,4 @@
-// What the calls about all that belongs to a group share.
+// Parts that the calls about members, links and rejected candidates share.
 #ifndef REVISIT_SERVER_SERVICE_GROUP_PAGE_H_
 #define REVISIT_SERVER_SERVICE_GROUP_PAGE_H_
 

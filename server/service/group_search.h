@@ -1,5 +1,5 @@
-// What a search in a group, and what else looks at the histories of its
-// members, needs before it can be made.
+// Gets ready searches in a group, and other calls that look at the histories
+// of its members.
 #ifndef REVISIT_SERVER_SERVICE_GROUP_SEARCH_H_
 #define REVISIT_SERVER_SERVICE_GROUP_SEARCH_H_
 

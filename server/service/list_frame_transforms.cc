@@ -21,7 +21,7 @@ namespace {
 
 constexpr int kMostVehicles = 100;
 
-// What is asked for, of a group that the caller may read.
+// Reads the request, which is about a group that the caller may read.
 absl::StatusOr<ScopeRequest> DecodeRequest(
     const v1::ListFrameTransformsRequest& request, UnaryCall* call) {
   absl::StatusOr<std::string> group =

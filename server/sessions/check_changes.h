@@ -80,7 +80,7 @@ class CheckChanges {
   void Tell(std::uint64_t sequence, StoredCheck* check, std::size_t index,
             ChecksWrite* write) const;
 
-  // Of the vehicle's own.
+  // The path of the vehicle's own pose.
   double TravelledAt(std::uint64_t sequence) const;
   // Whether two of its poses lie within core::kPlaceRadiusMeters along the
   // path.

@@ -39,8 +39,8 @@ struct CheckScope {
 };
 using CheckScopePtr = std::shared_ptr<const CheckScope>;
 
-// What a group says of a vehicle's places in the histories of others. Never
-// changes.
+// A group as far as it decides on a vehicle's places in the histories of
+// others. Never changes.
 struct CheckGroup {
   // A loop closure between the vehicle and another one, or a rejected
   // candidate.

@@ -37,7 +37,7 @@ class CheckSearch {
   CheckSearch(const CheckSearch&) = delete;
   CheckSearch& operator=(const CheckSearch&) = delete;
 
-  // What is searched next is another check, in a scope of its own.
+  // The next search is of another check, in a scope of its own.
   void Restart();
   // It is searched anew, in the scope that is ready.
   void RestartTurns();
@@ -60,7 +60,8 @@ class CheckSearch {
   // REQUIRES: within `turn`; is_ready().
   std::optional<core::CandidateSet> TakeTurn(core::NodeIndex node);
 
-  // Of the search that found: null for the vehicle's own history alone.
+  // The scope of the search that found; null for the vehicle's own history
+  // alone.
   const CheckScopePtr& scope() const { return scope_; }
   SearchTurns::Clock::duration duration() const { return turns_.all_turns(); }
 

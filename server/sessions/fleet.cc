@@ -157,7 +157,7 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
       // Nobody but this map has it, so nobody can start anything on it now.
       const bool unused =
           entry.session.use_count() == 1 && !entry.session->busy();
-      // What it does by itself, as to write its snapshot, is no use of it.
+      // Work that it does by itself, such as writing its snapshot, is no use.
       if (entry.session.use_count() > 1 ||
           (entry.session->busy() && !entry.works_by_itself)) {
         entry.last_use = now;

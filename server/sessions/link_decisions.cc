@@ -117,7 +117,7 @@ void LinkDecisions::LookAt(const CheckRecord& record,
 
 std::optional<CandidateTransition> LinkDecisions::Judge(
     std::uint64_t check_sequence, const StoredCandidate& candidate) const {
-  // Those that were found in another group, or in none, stay what they are.
+  // Candidates that were found in another group, or in none, stay as they are.
   if (candidate.is_own() || candidate.group != group_id_) return std::nullopt;
   const bool was_decided = candidate.state == CandidateState::kConfirmed ||
                            candidate.state == CandidateState::kRejected;

@@ -1,5 +1,5 @@
-// What becomes of stored candidates in the histories of other vehicles by what
-// their group says: loop closures between the two vehicles confirm those at
+// Decides on stored candidates in the histories of other vehicles by their
+// group: loop closures between the two vehicles confirm those at
 // their places, rejected candidates reject them, and those of vehicles that are
 // members no more are withdrawn.
 //
@@ -53,7 +53,7 @@ class LinkDecisions {
   void LookAt(std::uint64_t check_sequence);
 
  private:
-  // What was looked at: a group, as of a version.
+  // A group that was looked at, as of a version.
   struct Seen {
     std::string group;
     std::optional<GroupVersion> version;

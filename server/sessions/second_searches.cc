@@ -357,7 +357,7 @@ absl::StatusOr<ChecksWrite> SecondSearches::Compare(const Answer& answer) {
   for (std::size_t i = 0; i < same.size(); ++i) {
     StoredCandidate& candidate = check->candidates[i];
     candidate.latest_rank = same[i] ? same[i]->candidate.latest_rank : 0;
-    // What was not searched is as probable as it was.
+    // Places in vehicles that were not searched are as probable as they were.
     if (GraphOf(candidate, answer) == nullptr) continue;
     candidate.probability = same[i] ? same[i]->candidate.probability : 0.0;
     candidate.value = changes_->ValueOf(record.sequence, candidate);

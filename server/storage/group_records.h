@@ -67,7 +67,7 @@ enum class LinkState {
   kRejected = 4
 };
 
-// What was found of two poses of two members of a group.
+// A finding about two poses of two members of a group.
 struct GroupLinkRecord {
   // Unique in its group.
   std::string id;

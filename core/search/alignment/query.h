@@ -21,7 +21,7 @@ struct DrivenMotion {
 
 // The motion of other drives.
 struct MotionOfOthers {
-  // Of each of them.
+  // The motion of each drive.
   std::vector<DrivenMotion> drives;
   // The turns of the same drives: those of pools, but for some of each, and of
   // the drives that are in none.

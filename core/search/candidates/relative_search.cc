@@ -93,7 +93,7 @@ class RelativeSearch {
   }
 
  private:
-  // Those of histories that are passed over do not count.
+  // Counts the comparisons without those of histories that are passed over.
   std::int64_t Comparisons() const {
     NodeIndex nodes = 0;
     for (std::size_t h = 0; h < task_.histories.size(); ++h) {

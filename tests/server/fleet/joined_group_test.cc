@@ -134,12 +134,12 @@ TEST_F(JoinGroupTest, RejectedCandidatesTieNothingAndAreNotSought) {
   record.matched.sequence = 500;
   group_.rejected.push_back(record);
   EXPECT_EQ(TieTo(1).state, FrameState::kNone);
-  const auto joined =
-      JoinGroup(std::make_shared<const StoredGroup>(group_), histories_,
-                [](const KnownHistory&, std::uint64_t) {
-                  return std::optional<core::PoseEstimate>();
-                },
-                /*before=*/nullptr);
+  const auto joined = JoinGroup(
+      std::make_shared<const StoredGroup>(group_), histories_,
+      [](const KnownHistory&, std::uint64_t) {
+        return std::optional<core::PoseEstimate>();
+      },
+      /*before=*/nullptr);
   const core::DriveView& asking = joined->drives->view(0);
   const auto at = [&](std::uint64_t sequence) {
     return joined->drives->NotSought(

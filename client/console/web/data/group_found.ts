@@ -1,4 +1,4 @@
-// What a search in the histories of a group's members has found.
+// Results of a search in the histories of a group's members.
 import {type Candidate, type CandidateSet, UnsearchedReason} from
     '../../gen/revisit/v1/candidate_pb.js';
 import {type Link, type PosePlace, vehicleId} from './group_links.js';

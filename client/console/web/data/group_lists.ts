@@ -1,4 +1,4 @@
-// What groups hold, page by page.
+// Members and pairs of groups, page by page.
 import {Code, ConnectError} from '@connectrpc/connect';
 
 import type {GroupMember} from '../../gen/revisit/v1/group_pb.js';

@@ -219,7 +219,7 @@ function linkShapes(placed: readonly PlacedLink[]): Shape[] {
                               'Link of frames that are estimated',
                dash: known ? undefined : ESTIMATE_DASH,
                things: thingsOf(i => of[i])}, ends),
-      // Of a link whose two ends are at one place nothing else would be seen.
+      // A link whose two ends are at one place would not be seen otherwise.
       marks({id: `marks ${known}`, label: '', colour, widthPixels: 2},
             known ? 'square' : 'circle', ends),
       dots({id: `ends ${known}`, label: '', colour, radiusPixels: 2,

@@ -97,10 +97,9 @@ void ExpectNothingInFarOnes(std::mt19937_64& random, CorrelationModel noise,
   const OtherDrives others(settings, settings.search, scope);
   GrowthOfOthers growth;
   std::vector<History> histories;
-  others.AddHistories(
-      frames.relations, frames.relations.From(asking),
-      {asking, drive.frame_nodes(), drive.recordings(), node}, &growth,
-      &histories);
+  others.AddHistories(frames.relations, frames.relations.From(asking),
+                      {asking, drive.frame_nodes(), drive.recordings(), node},
+                      &growth, &histories);
   const Query query{
       drive.graph(), node,
       UniformInt(random, 1,
