@@ -196,46 +196,44 @@ UNDONE = (api.CANDIDATE_STATE_OPEN, api.CANDIDATE_CAUSE_DELETION)
 GONE = (api.CANDIDATE_STATE_WITHDRAWN, api.CANDIDATE_CAUSE_RETENTION)
 
 
-@pytest.mark.parametrize("engine", ["sqlite", "postgresql"])
-def test_links_decide_on_what_was_found_once_and_until_they_go(tmp_path, drive,
-                                                               engine):
-    with store_of(engine, tmp_path) as (store, flags):
-        with Server(store, *flags, log_path=tmp_path / "first.log") as server:
-            stub = server.stub()
-            checked, group = make_pair(stub, drive)
-            cursor = first_cursor(stub)
-            send(stub, checked, poses_of(drive, CHECKED))
-            wait_until_paid(stub, checked)
-            _, state, evidence = in_other(list_checks(stub, checked)[0])[0]
-            candidate = state.name
-            link = add_link(
-                stub, group, (evidence.matched_vehicle, evidence.matched.sequence),
-                (checked, evidence.query.sequence), link_id="tie").loop_closure.name
-            decided = wait_for_state(stub, candidate, *CONFIRMED)
-            assert decided.decision == link == f"{group}/loopClosures/tie"
-            assert told_of(stub, cursor, candidate) == [OPEN, CONFIRMED]
-            # Those elsewhere stay open.
-            assert any(state.state == api.CANDIDATE_STATE_OPEN for _, state, _
-                       in in_other(list_checks(stub, checked)[0]))
-        with Server(store, *flags, log_path=tmp_path / "second.log") as server:
-            stub = server.stub()
-            get(stub, checked)
-            delete_link(stub, link)
-            decided = wait_for_state(stub, candidate, *UNDONE)
-            assert not decided.decision
-            assert told_of(stub, cursor, candidate) == [OPEN, CONFIRMED, UNDONE]
-            rejection = reject(
-                stub, group, (checked, evidence.query.sequence),
-                (evidence.matched_vehicle, evidence.matched.sequence),
-                rejected_id="tie").rejected_candidate.name
-            decided = wait_for_state(stub, candidate, *REJECTED)
-            assert decided.decision == rejection
-            delete_rejected(stub, rejection)
-            wait_for_state(stub, candidate, *UNDONE)
-            remove_member(stub, f"{group}/members/{OTHER}")
-            wait_for_state(stub, candidate, *GONE)
-            assert told_of(stub, cursor, candidate) == [
-                OPEN, CONFIRMED, UNDONE, REJECTED, UNDONE, GONE]
+def test_links_decide_on_what_was_found_once_and_until_they_go(tmp_path, drive):
+    store = tmp_path / "store"
+    with Server(store, log_path=tmp_path / "first.log") as server:
+        stub = server.stub()
+        checked, group = make_pair(stub, drive)
+        cursor = first_cursor(stub)
+        send(stub, checked, poses_of(drive, CHECKED))
+        wait_until_paid(stub, checked)
+        _, state, evidence = in_other(list_checks(stub, checked)[0])[0]
+        candidate = state.name
+        link = add_link(
+            stub, group, (evidence.matched_vehicle, evidence.matched.sequence),
+            (checked, evidence.query.sequence), link_id="tie").loop_closure.name
+        decided = wait_for_state(stub, candidate, *CONFIRMED)
+        assert decided.decision == link == f"{group}/loopClosures/tie"
+        assert told_of(stub, cursor, candidate) == [OPEN, CONFIRMED]
+        # Those elsewhere stay open.
+        assert any(state.state == api.CANDIDATE_STATE_OPEN for _, state, _
+                   in in_other(list_checks(stub, checked)[0]))
+    with Server(store, log_path=tmp_path / "second.log") as server:
+        stub = server.stub()
+        get(stub, checked)
+        delete_link(stub, link)
+        decided = wait_for_state(stub, candidate, *UNDONE)
+        assert not decided.decision
+        assert told_of(stub, cursor, candidate) == [OPEN, CONFIRMED, UNDONE]
+        rejection = reject(
+            stub, group, (checked, evidence.query.sequence),
+            (evidence.matched_vehicle, evidence.matched.sequence),
+            rejected_id="tie").rejected_candidate.name
+        decided = wait_for_state(stub, candidate, *REJECTED)
+        assert decided.decision == rejection
+        delete_rejected(stub, rejection)
+        wait_for_state(stub, candidate, *UNDONE)
+        remove_member(stub, f"{group}/members/{OTHER}")
+        wait_for_state(stub, candidate, *GONE)
+        assert told_of(stub, cursor, candidate) == [
+            OPEN, CONFIRMED, UNDONE, REJECTED, UNDONE, GONE]
 
 
 def test_without_a_membership_the_own_history_alone_is_searched(tmp_path, drive):

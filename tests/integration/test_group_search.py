@@ -243,7 +243,7 @@ def test_answers_name_only_durable_poses_while_owners_are_killed(tmp_path, drive
         stub.CreateVehicle(api.CreateVehicleRequest(vehicle_id="two"))
         make_site(stub, ["one", "two"])
         seen, durable = 0, 0
-        for _ in range(4):
+        for _ in range(2):
             with sharing(url, tmp_path, 1) as owner:
                 for batch in batches(poses[durable:durable + 256], 32):
                     last = batch[-1].sequence

@@ -430,6 +430,8 @@ def test_defaults_in_the_help_are_those_of_the_server(revisit):
     assert flags.pop("--use-belief") is None
     # An age that is given is a limit.
     assert flags.pop("--max-age") == "any"
+    # And a word is a group.
+    assert flags.pop("--check-group") == "none"
     given = [word for flag in flags.items() for word in flag]
     answers = [revisit("vehicle", "create", name, *words, "--json")
                for name, words in [("cli-unset", ["--no-apply-inflation",

@@ -105,7 +105,8 @@ class Ratios {
     const double most = std::log(count);
     double sum = 0.0;
     for (const double nats : nats_) sum += std::exp(std::min(nats, most));
-    return std::max(0.0, std::log(kUnseenRatios * sum / count));
+    const double more = std::max(0.0, sum / count - 1.0);
+    return std::log1p(kUnseenRatios * more);
   }
 
  private:

@@ -32,8 +32,8 @@ namespace revisit::core {
 inline constexpr NodeIndex kMostMeasured = 4096;
 inline constexpr std::size_t kMostHistoriesMeasured = 64;
 
-// The mean of all ratios to that of those which count. Chosen on a town with a
-// grid, and judged on another one (tests/evaluation/RESULTS.md).
+// By how much the mean of all ratios is above 1, to that of those which count.
+// Chosen on two towns (tests/evaluation/RESULTS.md).
 inline constexpr double kUnseenRatios = 2.0;
 
 // Nodes beyond this squared Mahalanobis distance of position from the query are

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <cstdint>
 #include <memory>
 #include <vector>
 
@@ -90,7 +91,7 @@ class ChanceRatioTest : public testing::Test {
 
   Query AtEnd() const {
     const PoseGraph& graph = asking_.graph();
-    return {graph, graph.size() - 1, 150};
+    return {graph, graph.size() - 1, steps_};
   }
 
   double Measure(AlignmentParts* parts = nullptr) const {
@@ -98,6 +99,7 @@ class ChanceRatioTest : public testing::Test {
   }
 
   // Turns are rare on the vehicle's own roads, but for the last ones.
+  std::int64_t steps_ = 150;
   const Drive asking_ = Driven(Blocks({2000.0, 90.0, 90.0, 90.0, 40.0}));
   std::vector<std::shared_ptr<const DriveView>> views_;
   std::vector<FrameRelation> ties_;
@@ -135,7 +137,7 @@ TEST_F(ChanceRatioTest, ARoadIsNotWorthMoreThanSoManyNodesCanTell) {
   const auto& path = *std::static_pointer_cast<const RecentPath<3>>(parts.path);
   EXPECT_GT(path.weight() * path.most_log_likelihood_ratio(), 10.0);
   // Four nodes that are as good as the right one would come to that.
-  EXPECT_LT(measured, std::log(kUnseenRatios * 4.0));
+  EXPECT_LT(measured, std::log1p(kUnseenRatios * (4.0 - 1.0)));
 }
 
 // The slow twin: each node of all histories, one by one.
@@ -161,8 +163,14 @@ TEST_F(ChanceRatioTest, ItIsTheMeanOverAllNodesWhereTheseAreFew) {
     sum += std::min(std::exp(one), static_cast<double>(nats.size()));
   }
   const double mean = sum / static_cast<double>(nats.size());
-  ASSERT_GT(kUnseenRatios * mean, 1.0);
-  EXPECT_NEAR(measured, std::log(kUnseenRatios * mean), 1e-9);
+  ASSERT_GT(mean, 1.0);
+  EXPECT_NEAR(measured, std::log1p(kUnseenRatios * (mean - 1.0)), 1e-9);
+}
+
+TEST_F(ChanceRatioTest, APathWithoutAShapeIsLikeAllRoadsAndLosesNothing) {
+  Add(Blocks({90.0, 90.0, 90.0, 90.0}), 6000.0);
+  steps_ = 1;
+  EXPECT_EQ(Measure(), 0.0);
 }
 
 }  // namespace

@@ -308,7 +308,7 @@ TEST_F(PostgresGroupsTest, DamageAffectsItsRowOnlyAndIsFoundByACheck) {
   EXPECT_THAT(report->problems,
               ElementsAre(HasSubstr("group 'one' fails"),
                           HasSubstr("member 'truck' of group 'one' fails"),
-                          HasSubstr("loop closure 'a' of group 'one' fails")));
+                          HasSubstr("link 'a' of group 'one' fails")));
   const auto damaged = IsError(StatusCode::kDataLoss, "STORE_CORRUPT", _);
   EXPECT_THAT(write_groups().Change("one", {SetGroupPayload{"x"}}), damaged);
   EXPECT_THAT(write_groups().Change(

@@ -117,7 +117,7 @@ TEST_F(SqliteGroupsTest, ADamagedLinkIsReturnedBesideOthersAndCanBeRemoved) {
     EXPECT_THAT(
         write.Change("one", {SetGroupLink{"a", LinkState::kConfirmed, ""}}),
         IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
-                HasSubstr("stored loop closure 'a' of group 'one'")));
+                HasSubstr("stored link 'a' of group 'one'")));
     EXPECT_THAT(write.Change("one", {RemoveGroupLink{"a"}}), IsOk());
     EXPECT_THAT(ToTexts(*groups.ListLinks("one", "", 9)), ElementsAre(b));
   }
@@ -140,8 +140,8 @@ TEST_F(SqliteGroupsTest, ACheckCountsGroupsAndNamesEachDamagedRow) {
   EXPECT_THAT(report->problems,
               ElementsAre(HasSubstr("group 'one' fails"),
                           HasSubstr("member 'van' of group 'one' fails"),
-                          HasSubstr("loop closure 'a' of group 'one' fails"),
-                          HasSubstr("loop closure 'a' of group 'two' fails")));
+                          HasSubstr("link 'a' of group 'one' fails"),
+                          HasSubstr("link 'a' of group 'two' fails")));
   EXPECT_EQ(report->groups, 2);
   EXPECT_EQ(report->members, 4);
   EXPECT_EQ(report->links, 4);
