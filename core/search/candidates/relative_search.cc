@@ -115,13 +115,14 @@ class RelativeSearch {
                            });
   }
 
-  // Measures how well other recordings match by chance. Their alignments take
-  // over the recent path.
+  // Measures how well other recordings match by chance, where other drives are
+  // searched: recordings of one drive whose frames are known exactly are as one
+  // recording. The alignments take over the recent path.
   void MeasureChance() {
     const std::vector<History>& histories = task_.histories;
     const auto other = std::find_if(
         histories.begin(), histories.end(),
-        [](const History& history) { return !history.relation.is_own(); });
+        [](const History& history) { return history.drive.has_value(); });
     if (other == histories.end()) return;
     across_.log_chance_ratio = LogChanceRatio(
         task_.across, histories, across_,
