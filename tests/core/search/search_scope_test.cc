@@ -43,6 +43,14 @@ Datums ThreeDatums() {
           DatumAt({4.0, 7.0, 0.0, 2.0}, 3.0, 0.02, "site")};
 }
 
+// So wide that no node is surely elsewhere, by which drives would weigh shapes
+// (chance_ratio.h).
+Datums WideDatums() {
+  return {DatumAt({10.0, 20.0, 0.0, 0.3}, 300.0, 0.02),
+          DatumAt({-30.0, 5.0, 0.0, -1.0}, 500.0, 0.03),
+          DatumAt({4.0, 7.0, 0.0, 2.0}, 400.0, 0.02)};
+}
+
 // The same recordings as those of one drive, and as drives of their own.
 struct OneAndMany {
   OneAndMany(const DriveSettings& settings, const std::vector<int>& ends,
@@ -160,7 +168,7 @@ TEST(SearchScopeTest, DrivesAreSearchedAsTheRecordingsOfOneDriveAre) {
   for (const CorrelationModel model :
        {CorrelationModel::kDeadReckoning, CorrelationModel::kIndependent}) {
     settings.search.correlation_model = model;
-    const OneAndMany drives(settings, {1300, 2600, 4300}, ThreeDatums());
+    const OneAndMany drives(settings, {1300, 2600, 4300}, WideDatums());
     const SearchScope scope{drives.Joined(), 2};
     for (NodeIndex query = 120; query < drives.many[2].graph().size();
          query += 119) {
