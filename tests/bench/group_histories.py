@@ -85,8 +85,7 @@ def measure(stores, vehicles, nodes):
         group.make(names)
     print(f"\n{vehicles} vehicles of {nodes} nodes, {VEHICLES_A_SITE} to a site")
     asking = names[vehicles // 2]
-    with stores.server("group", "--group-memory-mebibytes", 1 << 16,
-                       "--max-search-steps", 10 ** 11) as server:
+    with stores.server("group", "--group-memory-mebibytes", 1 << 16) as server:
         group = Group(server)
         group.client.touch(asking)
         empty = fleet.settled_memory(group.client)

@@ -30,7 +30,7 @@ namespace revisit::core {
 // Nodes that are measured, at most, evenly spread over at most so many
 // histories, which are evenly spread too.
 inline constexpr NodeIndex kMostMeasured = 4096;
-inline constexpr std::size_t kMostHistoriesMeasured = 64;
+inline constexpr std::size_t kMostHistoriesMeasured = 16;
 
 // By how much the mean of all ratios is above 1, to that of those which count.
 // Chosen on two towns (tests/evaluation/RESULTS.md).
