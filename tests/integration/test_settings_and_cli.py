@@ -476,9 +476,10 @@ def test_defaults_in_the_comments_of_the_api_are_those_of_the_server(revisit):
     settings = json.loads(answer.stdout)["settings"]
     stated = documented_defaults()
     fields = api.VehicleSettings.DESCRIPTOR.fields_by_name
-    # The default is the first position, and that everything is kept.
-    assert stated.keys() == set(fields.keys()) - {"geodetic_origin", "retention"}
-    assert "retention" not in settings
+    # The default is the first position, that everything is kept, and no group.
+    absent = {"geodetic_origin", "retention", "check_group"}
+    assert stated.keys() == set(fields.keys()) - absent
+    assert "retention" not in settings and "checkGroup" not in settings
     wrong = {field: words for field, words in stated.items()
              if not is_said(settings[fields[field].json_name], words)}
     assert wrong == {}
