@@ -123,7 +123,7 @@ struct GroupSearches::State {
     }
     // One more, so that the last one is this.
     search->left = search->keepers.size() + 1;
-    const auto arrived = [this, search, hold = tasks.Begin()] {
+    const auto arrived = [hold = tasks.Begin(), this, search] {
       if (--search->left == 0) tasks.Post([this, search] { End(search); });
     };
     HistoryKeeper::RefreshAll(shared, search->keepers, arrived);

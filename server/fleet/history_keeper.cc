@@ -93,7 +93,7 @@ bool HistoryKeeper::AskSession() {
   const bool is_here = session != nullptr && !session->gone();
   if (is_here && session->is_loaded()) {
     session->LongRead(
-        [self = shared_from_this(), hold = shared_->tasks->Begin()](
+        [hold = shared_->tasks->Begin(), self = shared_from_this()](
             const absl::StatusOr<VehicleView>& view) { self->TakeView(view); });
     return true;
   }

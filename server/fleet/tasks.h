@@ -17,7 +17,9 @@ class Tasks {
   // The executor must outlive this.
   explicit Tasks(Executor* executor) : executor_(executor) {}
 
-  // While somebody holds one, End() waits.
+  // While somebody holds one, End() waits. A task captures its hold first,
+  // since captures go in reverse: what it keeps alive may still use what End()
+  // lets go.
   using Hold = std::shared_ptr<void>;
   Hold Begin() ABSL_LOCKS_EXCLUDED(mutex_) {
     const MutexLock lock(&mutex_);
