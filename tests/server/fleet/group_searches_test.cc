@@ -554,10 +554,11 @@ TEST_F(GroupSearchesTest, NamesMembersForWhichThereIsNoRoom) {
   options_.most_bytes = static_cast<std::int64_t>(
       ValueOf(*searches_, "revisit_followed_bytes") * 0.75);
   Start();
-  const GroupScope scope = Await(Asking("b"));
-  EXPECT_EQ(scope.joined->histories.size(), 2u);
-  ASSERT_EQ(scope.absent.size(), 1u);
-  EXPECT_EQ(scope.absent[0].absence, Absence::kMemory);
+  // Two that are read at one time may both find no room at first.
+  EXPECT_TRUE(ComeToSee(Asking("b"), [](const GroupScope& scope) {
+    return scope.joined->histories.size() == 2 && scope.absent.size() == 1 &&
+           scope.absent[0].absence == Absence::kMemory;
+  }));
 }
 
 TEST_F(GroupSearchesTest, LetsGoWhatNobodyAsksFor) {
