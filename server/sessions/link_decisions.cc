@@ -59,8 +59,9 @@ void LinkDecisions::Ask() {
       });
   scopes_->ReadGroup({group, vehicle_->id, vehicle_->head.key()},
                      [read, on_strand](absl::StatusOr<CheckGroupPtr> answer) {
-                       if (answer.ok()) *read = *std::move(answer);
-                       on_strand(answer.status());
+                       const absl::Status status = answer.status();
+                       if (status.ok()) *read = *std::move(answer);
+                       on_strand(status);
                      });
 }
 
