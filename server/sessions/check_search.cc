@@ -61,8 +61,9 @@ void CheckSearch::Prepare(const std::string& group, std::function<void()> turn,
   policy_.scopes->Prepare(
       {group, vehicle_->id, vehicle_->head.key()},
       [scope, on_strand](absl::StatusOr<CheckScopePtr> ready) {
-        if (ready.ok()) *scope = *std::move(ready);
-        on_strand(ready.status());
+        const absl::Status status = ready.status();
+        if (status.ok()) *scope = *std::move(ready);
+        on_strand(status);
       });
 }
 
