@@ -52,7 +52,7 @@ export class GroupStore {
       const isNew = version !== this.listed;
       const members = isNew && await listMembers(this.name);
       const links = isNew && await listLinks(this.name);
-      // What was read may be from before what was done here meanwhile.
+      // The lists may be older than what was changed here meanwhile.
       if (changes !== this.changes) return;
       batch(() => {
         if (members && links) {

@@ -1,17 +1,17 @@
 // A search in a group from one of its members, and what follows from it.
 import {useEffect, useRef, useState} from 'preact/hooks';
 
-import {type CandidateSet, EmptyReason, Verdict} from
+import {type CandidateSet, EmptyReason} from
     '../../gen/revisit/v1/candidate_pb.js';
-import {verdictName} from '../data/candidates.js';
 import type {GroupStore} from '../data/group.js';
 import {type GroupFound, linkOf} from '../data/group_found.js';
 import {linkName, placeName} from '../data/group_links.js';
 import type {Asked, GroupSearch} from '../data/group_search.js';
-import {count, fixed, probability, words} from '../parts/format.js';
+import {count, probability, words} from '../parts/format.js';
 import {useKeys} from '../parts/keys.js';
 import {type Column, Table} from '../parts/table.js';
 import {go} from '../route.js';
+import {evidenceColumns} from './candidate_columns.js';
 import {tieText} from './recordings.js';
 
 /** The key of a candidate's row. */
@@ -49,21 +49,7 @@ function columnsFor(store: GroupStore, asked: Asked):
       </a>)},
     {title: 'Match', number: true, by: ({matched}) => matched.sequence,
      cell: ({matched}) => count(matched.sequence)},
-    {title: 'Verdict', by: ({candidate}) => verdictName(candidate.verdict),
-     cell: ({candidate: {verdict}}) => (
-      <span class={`verdict ${words(Verdict[verdict]).replaceAll(' ', '-')}`}>
-        {verdictName(verdict)}
-      </span>)},
-    {title: 'Probability', number: true,
-     by: ({candidate}) => candidate.probability ?? NaN,
-     cell: ({candidate}) => candidate.probability === undefined ?
-         '–' : probability(candidate.probability)},
-    {title: 'd² / gate', number: true,
-     by: ({candidate: {gate}}) => gate ?
-         gate.squaredMahalanobisDistance / gate.threshold : NaN,
-     cell: ({candidate: {gate}}) => gate ?
-         `${fixed(gate.squaredMahalanobisDistance, 2)} / ${
-             fixed(gate.threshold, 2)}` : 'shape alone'},
+    ...evidenceColumns(),
     {title: 'Frames', by: ({candidate}) => tieText(candidate),
      cell: ({candidate}) => tieText(candidate)},
     {title: 'State', by: found => stateText(store, found),

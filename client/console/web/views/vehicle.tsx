@@ -19,11 +19,11 @@ import {tangentFrame} from '../geometry/frame.js';
 import type {Box} from '../geometry/view.js';
 import {Export} from '../parts/export.js';
 import {type Fact, FactList} from '../parts/facts.js';
-import {count, fixed, instant, length, probability, words} from
-    '../parts/format.js';
+import {count, fixed, instant, length, words} from '../parts/format.js';
 import {type Column, Table} from '../parts/table.js';
 import {go, query, setQuery} from '../route.js';
 import {useTitle} from '../title.js';
+import {evidenceColumns} from './candidate_columns.js';
 import {answersUpTo, candidateShapes, decisionShapes, ellipseShape, linkTo,
         openQueue, pathShapes, posesToAsk, stretchShapes, VERDICTS} from
     './drive.js';
@@ -63,21 +63,7 @@ function columnsFor(store: VehicleStore, at: number): Array<Column<Found>> {
       </a>)},
     {title: 'Match', number: true, by: found => pairOf(found).matched,
      cell: ({candidate}) => count(candidate.matched!.sequence)},
-    {title: 'Verdict', by: ({candidate}) => verdictName(candidate.verdict),
-     cell: ({candidate: {verdict}}) => (
-      <span class={`verdict ${words(Verdict[verdict]).replaceAll(' ', '-')}`}>
-        {verdictName(verdict)}
-      </span>)},
-    {title: 'Probability', number: true,
-     by: ({candidate}) => candidate.probability ?? NaN,
-     cell: ({candidate}) => candidate.probability === undefined ?
-         '–' : probability(candidate.probability)},
-    {title: 'd² / gate', number: true,
-     by: ({candidate: {gate}}) => gate ?
-         gate.squaredMahalanobisDistance / gate.threshold : NaN,
-     cell: ({candidate: {gate}}) => gate ?
-         `${fixed(gate.squaredMahalanobisDistance, 2)} / ${
-             fixed(gate.threshold, 2)}` : 'shape alone'},
+    ...evidenceColumns(),
     {title: 'Rank', number: true, by: ({candidate}) => candidate.rank,
      cell: ({candidate}) => candidate.rank},
     {title: 'Decision', by: decision, cell: decision},
