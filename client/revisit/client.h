@@ -65,10 +65,12 @@ class Client {
   // Retried.
   absl::StatusOr<v1::ListVehiclesResponse> ListVehicles(
       const v1::ListVehiclesRequest& request) const;
-  // Not retried: it could undo a change that another client made meanwhile.
+  // The client does not retry this: it could undo a change that another client
+  // made meanwhile.
   absl::StatusOr<v1::UpdateVehicleResponse> UpdateVehicle(
       const v1::UpdateVehicleRequest& request) const;
-  // Not retried: it could delete a new vehicle of the same name.
+  // The client does not retry this: it could delete a new vehicle of the same
+  // name.
   absl::StatusOr<v1::DeleteVehicleResponse> DeleteVehicle(
       const v1::DeleteVehicleRequest& request) const;
   // Retried: sequences make resending safe.
@@ -89,7 +91,8 @@ class Client {
   // Retried.
   absl::StatusOr<v1::ListLoopClosuresResponse> ListLoopClosures(
       const v1::ListLoopClosuresRequest& request) const;
-  // Not retried: it could delete a new loop closure of the same name.
+  // The client does not retry this: it could delete a new loop closure of the
+  // same name.
   absl::StatusOr<v1::DeleteLoopClosureResponse> DeleteLoopClosure(
       const v1::DeleteLoopClosureRequest& request) const;
   // Retried.
@@ -101,7 +104,8 @@ class Client {
   // Retried.
   absl::StatusOr<v1::ListRejectedCandidatesResponse> ListRejectedCandidates(
       const v1::ListRejectedCandidatesRequest& request) const;
-  // Not retried: it could delete a new rejection of the same name.
+  // The client does not retry this: it could delete a new rejection of the same
+  // name.
   absl::StatusOr<v1::DeleteRejectedCandidateResponse> DeleteRejectedCandidate(
       const v1::DeleteRejectedCandidateRequest& request) const;
   // Retried.
@@ -113,7 +117,8 @@ class Client {
   // Retried.
   absl::StatusOr<v1::ListRecordingsResponse> ListRecordings(
       const v1::ListRecordingsRequest& request) const;
-  // Not retried: it is an operator's decision about one moment.
+  // The client does not retry this: it is an operator's decision about one
+  // moment.
   absl::StatusOr<v1::AcceptDataLossResponse> AcceptDataLoss(
       const v1::AcceptDataLossRequest& request) const;
   // Retried: the server answers the same request again with the same group.
@@ -125,19 +130,23 @@ class Client {
   // Retried.
   absl::StatusOr<v1::ListGroupsResponse> ListGroups(
       const v1::ListGroupsRequest& request) const;
-  // Not retried: it could undo a change that another client made meanwhile.
+  // The client does not retry this: it could undo a change that another client
+  // made meanwhile.
   absl::StatusOr<v1::UpdateGroupResponse> UpdateGroup(
       const v1::UpdateGroupRequest& request) const;
-  // Not retried: it could delete a new group of the same name.
+  // The client does not retry this: it could delete a new group of the same
+  // name.
   absl::StatusOr<v1::DeleteGroupResponse> DeleteGroup(
       const v1::DeleteGroupRequest& request) const;
   // Retried: the same member again is the existing one.
   absl::StatusOr<v1::AddGroupMemberResponse> AddGroupMember(
       const v1::AddGroupMemberRequest& request) const;
-  // Not retried: it could undo a change that another client made meanwhile.
+  // The client does not retry this: it could undo a change that another client
+  // made meanwhile.
   absl::StatusOr<v1::UpdateGroupMemberResponse> UpdateGroupMember(
       const v1::UpdateGroupMemberRequest& request) const;
-  // Not retried: it could remove a vehicle that joined again.
+  // The client does not retry this: it could remove a vehicle that joined
+  // again.
   absl::StatusOr<v1::RemoveGroupMemberResponse> RemoveGroupMember(
       const v1::RemoveGroupMemberRequest& request) const;
   // Retried.
@@ -151,7 +160,8 @@ class Client {
   absl::StatusOr<v1::ListInterVehicleLoopClosuresResponse>
   ListInterVehicleLoopClosures(
       const v1::ListInterVehicleLoopClosuresRequest& request) const;
-  // Not retried: it could delete a new loop closure of the same name.
+  // The client does not retry this: it could delete a new loop closure of the
+  // same name.
   absl::StatusOr<v1::DeleteInterVehicleLoopClosureResponse>
   DeleteInterVehicleLoopClosure(
       const v1::DeleteInterVehicleLoopClosureRequest& request) const;
@@ -163,7 +173,8 @@ class Client {
   absl::StatusOr<v1::ListInterVehicleRejectedCandidatesResponse>
   ListInterVehicleRejectedCandidates(
       const v1::ListInterVehicleRejectedCandidatesRequest& request) const;
-  // Not retried: it could delete a new rejected candidate of the same name.
+  // The client does not retry this: it could delete a new rejected candidate of
+  // the same name.
   absl::StatusOr<v1::DeleteInterVehicleRejectedCandidateResponse>
   DeleteInterVehicleRejectedCandidate(
       const v1::DeleteInterVehicleRejectedCandidateRequest& request) const;

@@ -6,7 +6,6 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
-#include "absl/strings/str_split.h"
 #include "client/answers/names.h"
 #include "client/cli/commands/frame_columns.h"
 #include "client/cli/commands/shared_flags.h"
@@ -58,16 +57,10 @@ void AddGroupFramesCommand(const Command& group) {
       .AddText("--from", "VEHICLE", request->mutable_vehicle(),
                "The member in whose last recording's frame the others are told")
       .Required();
-  command.AddText(
-      "--in", "VEHICLE,...",
-      [request](const std::string& ids) -> std::string {
-        for (const auto& id : absl::StrSplit(ids, ',')) {
-          if (id.empty()) return "ids of members, separated by commas";
-          request->add_vehicles(VehicleName(std::string(id)));
-        }
-        return "";
-      },
-      "Only recordings of these members");
+  AddMembers(command, "Only recordings of these members",
+             [request](const std::string& vehicle) {
+               request->add_vehicles(vehicle);
+             });
   command.AddSwitch(
       "--partial", [request](bool allow) { request->set_allow_partial(allow); },
       "Do not wait until the server has read all histories: answer with those "

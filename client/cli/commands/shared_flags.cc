@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <string>
+#include <utility>
 
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_split.h"
@@ -46,6 +47,20 @@ void AddDirection(const Command& command, v1::CandidateOptions* options) {
       "(same)");
 }
 
+Flag AddMembers(const Command& command, const char* help,
+                std::function<void(const std::string& vehicle)> add) {
+  return command.AddText(
+      "--in", "VEHICLE,...",
+      [add = std::move(add)](const std::string& ids) -> std::string {
+        for (const auto& id : absl::StrSplit(ids, ',')) {
+          if (id.empty()) return "ids of members, separated by commas";
+          add(VehicleName(std::string(id)));
+        }
+        return "";
+      },
+      help);
+}
+
 void AddScope(const Command& command, v1::CandidateOptions* options) {
   const Command scope = command.Under("Histories of other vehicles");
   const Flag group = scope.AddText(
@@ -56,16 +71,11 @@ void AddScope(const Command& command, v1::CandidateOptions* options) {
         return "";
       },
       "Look in the histories of this group's vehicles too");
-  const Flag in = scope.AddText(
-      "--in", "VEHICLE,...",
-      [options](const std::string& ids) -> std::string {
-        for (const auto& id : absl::StrSplit(ids, ',')) {
-          if (id.empty()) return "ids of members, separated by commas";
-          options->mutable_scope()->add_vehicles(VehicleName(std::string(id)));
-        }
-        return "";
-      },
-      "Of these vehicles, only in those that are named here");
+  const Flag in =
+      AddMembers(scope, "Of these vehicles, only in those that are named here",
+                 [options](const std::string& vehicle) {
+                   options->mutable_scope()->add_vehicles(vehicle);
+                 });
   const Flag exclude_own = scope.AddSwitch(
       "--exclude-own",
       [options](bool exclude) {

@@ -3,6 +3,7 @@
 #define REVISIT_CLIENT_CLI_COMMANDS_SHARED_FLAGS_H_
 
 #include <cstdint>
+#include <functional>
 #include <string>
 
 #include "client/cli/flags.h"
@@ -27,6 +28,10 @@ void AddPoseView(const Command& command, v1::PoseView* view);
 
 // Which passes of a place candidates are looked for among.
 void AddDirection(const Command& command, v1::CandidateOptions* options);
+
+// Some of the members of a group: calls `add` with the name of each.
+Flag AddMembers(const Command& command, const char* help,
+                std::function<void(const std::string& vehicle)> add);
 
 // Where else than in the vehicle's own history searches look.
 void AddScope(const Command& command, v1::CandidateOptions* options);
