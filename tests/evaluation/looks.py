@@ -46,7 +46,7 @@ ROOT = pathlib.Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests/integration"))
 
 from reports import markdown  # noqa: E402
-from revisit_server import Server, run, wait_until  # noqa: E402
+from revisit_server import Server, run, wait_until_none_left  # noqa: E402
 from stubs import api  # noqa: E402
 from verified_places import (SIGMA_METERS, SIGMA_RADIANS,  # noqa: E402
                              measured)
@@ -62,7 +62,6 @@ DRIFT = (0.1, 0.05, math.radians(0.1))
 LEAST_STEP_METERS = 1e-3
 SHARE = 0.8
 SETTLE_SECONDS, POLL_SECONDS = 2.0, 0.1
-DEBT_SECONDS = 300.0
 
 ORDERS = ("value", "probability", "time", "random")
 
@@ -232,8 +231,8 @@ def send(server, path):
         done = run("revisit", *words, "--server", server.address)
         if done.returncode != 0:
             raise RuntimeError(f"revisit {words[0]} failed: {done.stderr}")
-    wait_until(lambda: get(server.stub(), VEHICLE).check_debt == 0,
-               "checks of the drive", DEBT_SECONDS)
+    wait_until_none_left(lambda: get(server.stub(), VEHICLE).check_debt,
+                         "checks of the drive")
 
 
 def measure(path, order, seed, shuffle):

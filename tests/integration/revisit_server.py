@@ -57,6 +57,17 @@ def wait_until(condition, what, seconds=START_SECONDS):
         time.sleep(0.002)
 
 
+def wait_until_none_left(count, what, seconds=START_SECONDS):
+    """Waits until a count is 0, for as long as it goes on falling: how long all of it
+    takes depends on the machine."""
+    least, deadline = None, time.monotonic() + seconds
+    while (left := count()) > 0:
+        if least is None or left < least:
+            least, deadline = left, time.monotonic() + seconds
+        assert time.monotonic() < deadline, f"{left} {what} left for {seconds} s"
+        time.sleep(0.01)
+
+
 def wait_until_still(value, seconds=600.0):
     """Waits until a value has stayed the same for several times as long as it ever
     did before, and a second at least; answers it."""

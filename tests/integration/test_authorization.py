@@ -6,9 +6,9 @@ import pytest
 
 from caller_identities import METHODS, SERVICE, As, Code, ask, create, list_vehicles
 from grouping import group_requests
-from revisit_server import Server, wait_until
+from revisit_server import Server
 from stubs import api
-from watching import list_checks
+from watching import list_checks, wait_until_paid
 from wire import PoseStream, append, failure_of, get, laps, straight
 
 pytest_plugins = ("caller_identities",)
@@ -221,8 +221,7 @@ def test_watches_and_lists_of_candidates_tell_nothing_of_other_tenants(called_by
     _, cursor = list_checks(called_by("acme"))
     for tenant in ("umbra", "acme"):
         append(called_by(tenant), names[tenant], laps(760))
-        wait_until(lambda t=tenant: get(called_by(t), names[t]).check_debt == 0,
-                   "checks")
+        wait_until_paid(called_by(tenant), names[tenant])
     for tenant in ("acme", "umbra"):
         checks, _ = list_checks(called_by(tenant))
         assert len(checks) > 20

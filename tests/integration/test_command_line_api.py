@@ -11,7 +11,8 @@ import pytest
 
 from revisit_server import BIN, clean_environment, run, wait_until
 from stubs import api
-from wire import append, get, laps, straight
+from watching import wait_until_paid
+from wire import append, laps, straight
 
 USAGE = 64
 
@@ -251,7 +252,7 @@ def lapped(revisit, stub):
                    "--sequence-length", 20, "--check-interval", 10,
                    "--node-spacing", 1).returncode == 0
     append(stub, "vehicles/api-2", laps(1140))
-    wait_until(lambda: get(stub, "vehicles/api-2").check_debt == 0, "all checks")
+    wait_until_paid(stub, "vehicles/api-2")
     yield "api-2"
     revisit("vehicle", "delete", "api-2", "--yes")
 

@@ -12,7 +12,8 @@ import pytest
 from drive_client import create
 from revisit_server import Server, wait_until
 from stubs import api
-from watching import Watcher, expect_each_check_once, list_checks
+from watching import (Watcher, expect_each_check_once, list_checks,
+                      wait_until_paid)
 from wire import (LOOP_CLOSURES, REJECTED_CANDIDATES, append, boreas, failure_of,
                   get, laps)
 
@@ -21,14 +22,6 @@ STORING = {"checks": api.STORED_CHECKS_STORED}
 # Short, so that many checks are due.
 SHORT = {"sequence_length_meters": 20.0, "check_interval_meters": 10.0,
          "node_spacing_meters": 1.0}
-
-
-def is_paid(stub, vehicle):
-    return get(stub, vehicle).check_debt == 0
-
-
-def wait_until_paid(stub, vehicle):
-    wait_until(lambda: is_paid(stub, vehicle), f"checks of {vehicle}")
 
 
 def watch(stub, cursor="", **filters):

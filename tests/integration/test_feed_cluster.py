@@ -11,12 +11,11 @@ import time
 import grpc
 
 from own_postgres import own_shared_store
-from revisit_server import START_SECONDS, wait_until
+from revisit_server import START_SECONDS, wait_until, wait_until_none_left
 from stubs import api
 from three_servers import SERVERS, Cluster, append_up_to, served, vehicle_of
-from watching import (Watcher, change_pairs, expect_each_check_once,
-                      expect_states_follow, is_fresh, list_checks,
-                      wait_until_as_searched_now)
+from watching import (Watcher, change_pairs, count_stale, expect_each_check_once,
+                      expect_states_follow, list_checks, wait_until_as_searched_now)
 from wire import boreas, decode_failure
 
 VEHICLES = [f"vehicles/truck-{number}" for number in range(4)]
@@ -28,6 +27,11 @@ def create_storing(cluster, rng, name):
         api.CreateVehicleRequest(vehicle_id=name.split("/")[1],
                                  vehicle=api.Vehicle(settings=settings)),
         timeout=10))
+
+
+def wait_until_paid_in(cluster, rng, name):
+    wait_until_none_left(lambda: vehicle_of(cluster, rng, name).check_debt,
+                         f"checks of {name}", seconds=2 * START_SECONDS)
 
 
 def test_second_searches_end_as_searches_find_them_whatever_servers_are_killed(
@@ -58,11 +62,11 @@ def test_second_searches_end_as_searches_find_them_whatever_servers_are_killed(
         for name in names:
             append_up_to(cluster, rng, name, poses)
 
-            def is_settled(name=name):
-                return (vehicle_of(cluster, rng, name).check_debt == 0 and
-                        served(cluster, rng, lambda stub: is_fresh(stub, name)))
-
-            wait_until(is_settled, f"checks of {name}", seconds=2 * START_SECONDS)
+            wait_until_paid_in(cluster, rng, name)
+            wait_until_none_left(
+                lambda name=name: served(
+                    cluster, rng, lambda stub: count_stale(stub, name)),
+                f"second searches of {name}", seconds=2 * START_SECONDS)
             again = served(cluster, rng, lambda stub, name=name:
                            wait_until_as_searched_now(stub, name))
             uid = vehicle_of(cluster, rng, name).uid
@@ -112,9 +116,7 @@ def test_checks_are_told_once_whatever_servers_are_killed(tmp_path, request, see
             cluster.start(number)
         for name in VEHICLES:
             append_up_to(cluster, rng, name, poses)
-            wait_until(lambda name=name: vehicle_of(
-                cluster, rng, name).check_debt == 0, f"checks of {name}",
-                seconds=2 * START_SECONDS)
+            wait_until_paid_in(cluster, rng, name)
         total = sum(len(check.states) for check in served(
             cluster, rng, list_checks)[0])
         for watcher in watchers:
@@ -152,8 +154,7 @@ def test_a_cursor_of_a_database_that_lost_its_last_events_is_refused(tmp_path, s
                 served(cluster, rng, lambda stub: stub.AppendPoses(
                     api.AppendPosesRequest(vehicle=name, poses=poses[durable:count]),
                     timeout=20))
-            wait_until(lambda: vehicle_of(cluster, rng, name).check_debt == 0,
-                       "checks", seconds=2 * START_SECONDS)
+            wait_until_paid_in(cluster, rng, name)
 
         append_to(1500)
         data = pathlib.Path(database.sockets) / "data"

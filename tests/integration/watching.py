@@ -7,6 +7,7 @@ import time
 
 import grpc
 
+from revisit_server import wait_until_none_left
 from stubs import PoseGraphServiceStub, api
 from wire import LOOP_CLOSURES, REJECTED_CANDIDATES, decode_failure, get
 
@@ -114,9 +115,22 @@ def without_times(found):
     return copy
 
 
-def is_fresh(stub, parent="vehicles/-"):
-    """Whether no check waits to be searched again, as far as the rows say."""
-    return not any(check.stale for check in list_checks(stub, parent)[0])
+def wait_until_paid(stub, vehicle):
+    """Waits until the vehicle owes no checks."""
+    wait_until_none_left(lambda: get(stub, vehicle).check_debt,
+                         f"checks of {vehicle}")
+
+
+def wait_until_settled(stub, vehicle):
+    """Waits until the vehicle owes no checks, and none is to be searched again."""
+    wait_until_paid(stub, vehicle)
+    wait_until_none_left(lambda: count_stale(stub, vehicle),
+                         f"second searches of {vehicle}")
+
+
+def count_stale(stub, parent="vehicles/-"):
+    """How many checks wait to be searched again, as far as the rows say."""
+    return sum(check.stale for check in list_checks(stub, parent)[0])
 
 
 def expect_states_follow(stub, vehicle, told):
