@@ -25,6 +25,24 @@ bool IsMember(const StoredGroup& group, const CheckScopes::Request& vehicle) {
                      });
 }
 
+CheckTiesPtr TiesOf(const StoredGroup& group, VehicleKey vehicle) {
+  auto ties = std::make_shared<CheckTies>();
+  ties->version = group.version;
+  for (const GroupMemberRecord& member : group.members) {
+    if (member.vehicle == vehicle) ties->member = member.payload;
+  }
+  const auto add = [&](const GroupLinkRecord& link) {
+    if (link.query.vehicle == vehicle) {
+      ties->ties.push_back({link.query.sequence, link});
+    } else if (link.matched.vehicle == vehicle) {
+      ties->ties.push_back({link.matched.sequence, link});
+    }
+  };
+  for (const StoredLink& stored : group.links) add(stored.record);
+  for (const GroupLinkRecord& rejected : group.rejected) add(rejected);
+  return ties;
+}
+
 absl::StatusOr<CheckScopePtr> ScopeOf(const CheckScopes::Request& request,
                                       absl::StatusOr<GroupScope> ready) {
   // Nothing that waiting would change.
@@ -41,6 +59,7 @@ absl::StatusOr<CheckScopePtr> ScopeOf(const CheckScopes::Request& request,
   auto scope = std::make_shared<CheckScope>();
   scope->search = group->scope;
   scope->group_id = request.group;
+  scope->ties = TiesOf(*group->joined->group, request.key);
   for (const auto& history : group->joined->histories) {
     scope->vehicles.push_back(
         {history->vehicle_id, history->config.uid, history->last_sequence});
@@ -76,6 +95,7 @@ absl::StatusOr<CheckGroupPtr> GroupOf(
   if (absl::IsNotFound(named.status())) return group;
   if (!named.ok()) return named.status();
   group->version = named->group->version;
+  group->ties = TiesOf(*named->group, request.key);
   for (const GroupMemberRecord& member : named->group->members) {
     const auto uid = named->uids.find(member.vehicle);
     group->members[member.vehicle_id] =

@@ -1,11 +1,13 @@
 #include "server/sessions/check_basis.h"
 
 #include <algorithm>
+#include <cmath>
 #include <limits>
 #include <string>
 
 #include "core/drive/node_range.h"
 #include "core/drive/pose_graph.h"
+#include "server/groups/link_kind.h"
 #include "xxhash.h"
 
 namespace revisit::server {
@@ -36,6 +38,27 @@ std::uint64_t HashOf(PairKind kind, const PosePairRecord& pair) {
   hash = Joined(hash, pair.matched_sequence);
   hash = Joined(hash, static_cast<std::uint64_t>(pair.create_time_ns));
   return Joined(hash, pair.payload);
+}
+
+std::uint64_t Joined(std::uint64_t hash, const VehiclePose& pose) {
+  return Joined(Joined(hash, static_cast<std::uint64_t>(pose.vehicle)),
+                pose.sequence);
+}
+
+std::uint64_t HashOf(const GroupLinkRecord& link) {
+  std::uint64_t hash = Joined(static_cast<std::uint64_t>(link.state), link.id);
+  hash = Joined(Joined(hash, link.query), link.matched);
+  return Joined(hash, link.payload);
+}
+
+// 0 where nothing ties the vehicle.
+std::uint64_t HashOf(const CheckTies& ties) {
+  std::uint64_t hash = 0;
+  if (!ties.member.empty()) hash = Joined(hash, ties.member);
+  for (const CheckTies::Tie& tie : ties.ties) {
+    hash = Joined(hash, HashOf(tie.link));
+  }
+  return hash;
 }
 
 std::uint64_t JoinedPose(std::uint64_t hash, const core::PoseGraph& graph,
@@ -72,9 +95,32 @@ std::uint64_t CheckBasis::SumsByPlace::Below(double place) const {
   return first == sums_.begin() ? 0 : std::prev(first)->second;
 }
 
+const std::string& CheckBasis::Group() const {
+  static const std::string* const kNone = new std::string();
+  return searches_groups_ ? vehicle_->head.config().check_group : *kNone;
+}
+
+void CheckBasis::Learn(const std::string& group_id, CheckTiesPtr ties) {
+  const bool is_older = ties_ != nullptr && ties_of_ == group_id &&
+                        ties_->version && ties->version &&
+                        ties->version->uid == ties_->version->uid &&
+                        ties->version->revision < ties_->version->revision;
+  if (is_older) return;
+  const std::uint64_t hash = HashOf(*ties);
+  if (hash != ties_hash_) ++ties_version_;
+  ties_ = std::move(ties);
+  ties_hash_ = hash;
+  ties_of_ = group_id;
+}
+
+bool CheckBasis::IsTiedBy(const CheckTiesPtr& ties) const {
+  return (ties == nullptr ? 0 : HashOf(*ties)) ==
+         (Group().empty() ? 0 : ties_hash_);
+}
+
 CheckBasis::Version CheckBasis::version() const {
   return {vehicle_->loaded.series(), vehicle_->head.config_version(),
-          vehicle_->pairs.version()};
+          vehicle_->pairs.version(), ties_version_};
 }
 
 void CheckBasis::Refresh() {
@@ -116,8 +162,39 @@ void CheckBasis::Refresh() {
   rejected_matches_.Finish();
 }
 
+std::uint64_t CheckBasis::JoinedTies(std::uint64_t hash, core::NodeIndex node,
+                                     const CheckTiesPtr& ties) const {
+  if (ties == nullptr) return hash;
+  if (!ties->member.empty()) hash = Joined(hash, ties->member);
+  const core::PoseGraph& graph = vehicle_->loaded->graph();
+  const double travelled = graph.node(node).travelled_meters;
+  for (const CheckTies::Tie& tie : ties->ties) {
+    const auto own = graph.NodeAtOrBefore(tie.own_sequence);
+    if (!own) continue;
+    // A search does not know what was tied behind its node.
+    const bool is_meant = KindOf(tie.link) == PairKind::kLoopClosure
+                              ? *own <= node
+                              : std::abs(graph.node(*own).travelled_meters -
+                                         travelled) <= RejectionRadius();
+    if (is_meant) hash = Joined(hash, HashOf(tie.link));
+  }
+  return hash;
+}
+
+double CheckBasis::RejectionRadius() const {
+  return std::max(
+      core::kPlaceRadiusMeters,
+      vehicle_->head.config().drive.search.candidate_separation_meters);
+}
+
 std::uint64_t CheckBasis::Of(std::uint64_t check_sequence,
                              const std::vector<StoredCandidate>& candidates) {
+  return Of(check_sequence, candidates, Group().empty() ? nullptr : ties_);
+}
+
+std::uint64_t CheckBasis::Of(std::uint64_t check_sequence,
+                             const std::vector<StoredCandidate>& candidates,
+                             const CheckTiesPtr& ties) {
   Refresh();
   const core::PoseGraph& graph = vehicle_->loaded->graph();
   std::uint64_t hash = JoinedPose(settings_, graph, check_sequence);
@@ -133,13 +210,12 @@ std::uint64_t CheckBasis::Of(std::uint64_t check_sequence,
   if (!node) return hash;
   hash = Joined(hash, pairs_.UpTo(static_cast<double>(*node)));
   const double travelled = graph.node(*node).travelled_meters;
-  const double radius = std::max(
-      core::kPlaceRadiusMeters,
-      vehicle_->head.config().drive.search.candidate_separation_meters);
+  const double radius = RejectionRadius();
   for (const SumsByPlace* sums : {&rejected_queries_, &rejected_matches_}) {
     hash = Joined(
         hash, sums->UpTo(travelled + radius) - sums->Below(travelled - radius));
   }
+  hash = JoinedTies(hash, *node, ties);
   // 0 stands for a check that has none yet.
   return hash == 0 ? 1 : hash;
 }

@@ -5,10 +5,13 @@
 
 #include <cstdint>
 #include <optional>
+#include <string>
 #include <utility>
 #include <vector>
 
+#include "core/drive/node_index.h"
 #include "server/sessions/check_codec.h"
+#include "server/sessions/check_scopes.h"
 #include "server/sessions/vehicle_state.h"
 
 namespace revisit::server {
@@ -16,9 +19,11 @@ namespace revisit::server {
 // A check depends on the vehicle's settings, the estimates at its pose and at
 // those matched, the loop closures and the rejected candidates up to it, which
 // also count for what marks before it have shown, and the rejected candidates
-// beside it. What other vehicles have driven, and what is known of where, is
-// left out: the check is about what was known of that then. What closures far
-// from the check do to the scale of covariances
+// beside it. In a group it depends on where the vehicle was placed there, and
+// on the loop closures and rejected candidates between it and others, by the
+// same rules. What others have driven since, and what ties these to each other,
+// is left out: the check is about what was known of that then. What closures
+// far from the check do to the scale of covariances
 // (VehicleSettings.apply_inflation) is left out, or each closure would have all
 // checks searched again. Numbers are the same in all processes, so that they
 // are stored. Belongs to the session's strand.
@@ -29,15 +34,33 @@ class CheckBasis {
     std::uint64_t drive = 0;
     std::uint64_t config = 0;
     std::uint64_t pairs = 0;
+    std::uint64_t ties = 0;
   };
 
-  explicit CheckBasis(const VehicleState* vehicle) : vehicle_(vehicle) {}
+  // `searches_groups`: whether checks search in the group that the vehicle's
+  // settings name.
+  CheckBasis(const VehicleState* vehicle, bool searches_groups)
+      : vehicle_(vehicle), searches_groups_(searches_groups) {}
+
+  // Tells what a group says, unless something newer is known of it.
+  void Learn(const std::string& group_id, CheckTiesPtr ties);
+  // Whether it was told what the group says in which checks search, if any.
+  bool knows_ties() const {
+    return Group().empty() || (ties_ != nullptr && ties_of_ == Group());
+  }
+  // Whether these are all that it knows to tie the vehicle; null: nothing.
+  bool IsTiedBy(const CheckTiesPtr& ties) const;
 
   // O(1). REQUIRES, as for Of(): the vehicle is loaded.
   Version version() const;
-  // O(log pairs), after O(pairs log pairs) once a version.
+  // O(log pairs + ties), after O(pairs log pairs) once a version. REQUIRES:
+  // knows_ties().
   std::uint64_t Of(std::uint64_t check_sequence,
                    const std::vector<StoredCandidate>& candidates);
+  // The number of a check that was searched with these ties; null: with none.
+  std::uint64_t Of(std::uint64_t check_sequence,
+                   const std::vector<StoredCandidate>& candidates,
+                   const CheckTiesPtr& ties);
 
  private:
   // Hashes of pairs by where they are, each the sum of those before it and its
@@ -57,9 +80,23 @@ class CheckBasis {
     std::vector<std::pair<double, std::uint64_t>> sums_;
   };
 
+  // Empty if none is searched.
+  const std::string& Group() const;
   void Refresh();
+  // How far from a rejected candidate, along the path, a search heeds it.
+  double RejectionRadius() const;
+  // Of the ties that concern a check at a node, joined to `hash`; where there
+  // are none, `hash` itself.
+  std::uint64_t JoinedTies(std::uint64_t hash, core::NodeIndex node,
+                           const CheckTiesPtr& ties) const;
 
   const VehicleState* const vehicle_;
+  const bool searches_groups_;
+  // Null if unknown.
+  CheckTiesPtr ties_;
+  std::uint64_t ties_hash_ = 0;
+  std::string ties_of_;
+  std::uint64_t ties_version_ = 0;
   std::optional<Version> version_;
   std::uint64_t settings_ = 0;
   // All pairs by the index of their later node; rejected candidates also by the
@@ -71,7 +108,8 @@ class CheckBasis {
 
 inline bool operator==(const CheckBasis::Version& a,
                        const CheckBasis::Version& b) {
-  return a.drive == b.drive && a.config == b.config && a.pairs == b.pairs;
+  return a.drive == b.drive && a.config == b.config && a.pairs == b.pairs &&
+         a.ties == b.ties;
 }
 inline bool operator!=(const CheckBasis::Version& a,
                        const CheckBasis::Version& b) {

@@ -22,6 +22,23 @@ namespace revisit::server {
 // Who makes a scope and who encodes what was found in it know the rest.
 struct GroupScope;
 
+// The part of a group on which the answers of a vehicle's checks depend by the
+// vehicle's own doing. Never changes.
+struct CheckTies {
+  // A loop closure between the vehicle and another one, or a rejected
+  // candidate.
+  struct Tie {
+    std::uint64_t own_sequence = 0;
+    GroupLinkRecord link;
+  };
+  // Nothing where there is no such group.
+  std::optional<GroupVersion> version;
+  // The vehicle's row as a member; empty where it is none.
+  std::string member;
+  std::vector<Tie> ties;
+};
+using CheckTiesPtr = std::shared_ptr<const CheckTies>;
+
 // Never changes, so that any number of threads may read it.
 struct CheckScope {
   struct Vehicle {
@@ -34,6 +51,8 @@ struct CheckScope {
   // By their index among the scope's drives.
   std::vector<Vehicle> vehicles;
   std::string group_id;
+  // As of the group that is searched; never null.
+  CheckTiesPtr ties = std::make_shared<const CheckTies>();
   // For CheckCodec::EncodeFound().
   std::shared_ptr<const GroupScope> group = nullptr;
 };
@@ -60,6 +79,8 @@ struct CheckGroup {
   // The loop closures in the order in which they were added, then the rejected
   // candidates.
   std::vector<Link> links;
+  // Never null.
+  CheckTiesPtr ties = std::make_shared<const CheckTies>();
 };
 using CheckGroupPtr = std::shared_ptr<const CheckGroup>;
 

@@ -66,6 +66,10 @@ void LinkDecisions::Ask() {
 }
 
 void LinkDecisions::Take(CheckGroupPtr group) {
+  const bool knew = basis_->knows_ties();
+  const CheckBasis::Version before = basis_->version();
+  basis_->Learn(group_id_, group->ties);
+  if (!knew || basis_->version() != before) learned_();
   const bool is_seen = looked_ && looked_->group == group_id_ &&
                        looked_->version == group->version;
   if (is_seen && !new_from_) {

@@ -7,17 +7,21 @@
 // time whether the group was changed, and then through the rows, a page at a
 // time, between other work of the vehicle. What is to be changed follows from
 // the rows and the group, so whoever loads the vehicle comes to the same, and
-// nothing is told twice.
+// nothing is told twice. What the group says is told to the basis of checks
+// too.
 #ifndef REVISIT_SERVER_SESSIONS_LINK_DECISIONS_H_
 #define REVISIT_SERVER_SESSIONS_LINK_DECISIONS_H_
 
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <optional>
 #include <string>
+#include <utility>
 
 #include "absl/status/statusor.h"
+#include "server/sessions/check_basis.h"
 #include "server/sessions/check_changes.h"
 #include "server/sessions/check_scopes.h"
 #include "server/sessions/check_steps.h"
@@ -30,13 +34,17 @@ namespace revisit::server {
 // Belongs to the strand, but for what is said to be called from any thread.
 class LinkDecisions {
  public:
-  // `scopes`: null where no checks search in groups.
+  // `scopes`: null where no checks search in groups. Calls `learned` when
+  // checks may depend on what the group says since.
   LinkDecisions(VehicleState* vehicle, VehicleQueue* queue,
-                const CheckChanges* changes, CheckScopes* scopes)
+                const CheckChanges* changes, CheckBasis* basis,
+                CheckScopes* scopes, std::function<void()> learned)
       : vehicle_(vehicle),
         queue_(queue),
         changes_(changes),
+        basis_(basis),
         scopes_(scopes),
+        learned_(std::move(learned)),
         steps_(vehicle, queue, changes) {}
 
   LinkDecisions(const LinkDecisions&) = delete;
@@ -77,7 +85,9 @@ class LinkDecisions {
   VehicleState* const vehicle_;
   VehicleQueue* const queue_;
   const CheckChanges* const changes_;
+  CheckBasis* const basis_;
   CheckScopes* const scopes_;
+  const std::function<void()> learned_;
   CheckSteps steps_;
 
   // Whether the group is to be asked for, and whether a look is under way.

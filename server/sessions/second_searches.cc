@@ -66,7 +66,8 @@ void SecondSearches::Consider() {
     Allow();
     NoteStale(stale_);
   }
-  if (is_at_work_) return;
+  // The group may have said more than was known when checks were stored.
+  if (is_at_work_ || !basis_->knows_ties()) return;
   if (looked_ != now || looks_again_ || (may_judge_ && MustJudge())) {
     Look();
   } else if (!waiting_.empty() && allowed_ > 0 && search_.MayPost()) {
@@ -262,6 +263,9 @@ void SecondSearches::TakeTurn() {
   }
   --allowed_;
   if (policy_.monitor != nullptr) policy_.monitor->SearchedAgain();
+  if (const CheckScopePtr& scope = search_.scope()) {
+    basis_->Learn(scope->group_id, scope->ties);
+  }
   RunStep([this, answer = Read(*set)] { return Compare(answer); },
           [this](bool ok) {
             if (!ok) return;
@@ -391,7 +395,12 @@ absl::StatusOr<ChecksWrite> SecondSearches::Compare(const Answer& answer) {
                    &write);
     if (!late.is_own()) links_->LookAt(record.sequence);
   }
-  check->basis = basis_->Of(record.sequence, check->candidates);
+  check->basis =
+      basis_->Of(record.sequence, check->candidates,
+                 answer.scope == nullptr ? nullptr : answer.scope->ties);
+  if (answer.scope != nullptr && !basis_->IsTiedBy(answer.scope->ties)) {
+    looks_again_ = true;
+  }
   changes_->Put(record, *check, &write);
   return write;
 }

@@ -152,7 +152,12 @@ void StoredChecks::Take(const core::CandidateSet& set) {
     policy_.monitor->Made(made.check.candidates.size());
   }
   if (!made.check.candidates.empty()) {
-    made.check.basis = basis_.Of(made.sequence, made.check.candidates);
+    if (const CheckScopePtr& scope = search_.scope()) {
+      basis_.Learn(scope->group_id, scope->ties);
+      made.ties = scope->ties;
+    }
+    made.check.basis =
+        basis_.Of(made.sequence, made.check.candidates, made.ties);
     made.version = basis_.version();
     made.check.found = changes_.codec()->EncodeFound(
         vehicle_->View(), set, search_.duration(), search_.scope().get());
@@ -231,7 +236,9 @@ ChecksWrite StoredChecks::MakeWrite() {
     record.create_time_ns = now_ns;
     changes_.Put(record, check, &write);
     // Something changed between its search and now.
-    if (made.version != basis_.version()) second_.LookAgain();
+    if (made.version != basis_.version() || !basis_.IsTiedBy(made.ties)) {
+      second_.LookAgain();
+    }
   }
   if (Stores() && !vehicle_->loaded->NextCheck(made_to_)) {
     write.after.checked_sequence = vehicle_->head.durable_sequence();

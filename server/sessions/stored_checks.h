@@ -75,8 +75,9 @@ class StoredChecks {
         in_flight_(in_flight),
         policy_(std::move(policy)),
         changes_(vehicle, policy_.codec),
-        basis_(vehicle),
-        links_(vehicle, queue, &changes_, policy_.scopes),
+        basis_(vehicle, policy_.scopes != nullptr),
+        links_(vehicle, queue, &changes_, &basis_, policy_.scopes,
+               [this] { second_.Consider(); }),
         second_(vehicle, queue, &changes_, &basis_, &links_,
                 {policy_.max_search_steps, policy_.scopes,
                  policy_.searches_per_change, policy_.monitor}),
@@ -143,6 +144,8 @@ class StoredChecks {
     std::uint64_t sequence = 0;
     std::uint64_t revision = 0;
     CheckBasis::Version version;
+    // With which it was searched; null for none.
+    CheckTiesPtr ties;
     StoredCheck check;
   };
   // When a pose was acknowledged, or loaded, up to which checks were owed.

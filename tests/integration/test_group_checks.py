@@ -11,10 +11,10 @@ from grouping import (add_link, add_member, create_group, delete_group, delete_l
                       delete_rejected, reject, remove_member)
 from own_postgres import own_postgres
 from private_cluster import find_postgres
-from revisit_server import Server, run, wait_until
+from revisit_server import Server, run, wait_until, wait_until_none_left
 from stubs import api
 from test_group_search import FRAMES, PARTS, datum_of, moved, ready, search
-from watching import list_checks, without_times
+from watching import list_checks, wait_until_paid, without_times
 from wire import append, batches, boreas, failure_of, get
 
 pytest_plugins = ("caller_identities",)
@@ -58,10 +58,6 @@ def make_pair(stub, drive, prefix="", **settings):
     return checked, group
 
 
-def wait_until_paid(stub, vehicle):
-    wait_until(lambda: get(stub, vehicle).check_debt == 0, f"checks of {vehicle}")
-
-
 def told_since(stub, cursor, count, **filters):
     events = []
     for answer in stub.WatchCandidates(api.WatchCandidatesRequest(
@@ -75,6 +71,10 @@ def told_since(stub, cursor, count, **filters):
 
 def evidence_of(check, state):
     return next(one for one in check.candidates.candidates if one.rank == state.rank)
+
+
+def sequence_of(check):
+    return int(check.name.split("/")[-1])
 
 
 def in_other(checks):
@@ -95,8 +95,7 @@ def expect_found_and_told_once(stub, checked, group, cursor):
     checks, _ = list_checks(stub, checked)
     assert in_other(checks)
     for check in checks:
-        sequence = int(check.name.split("/")[-1])
-        found = ready(lambda sequence=sequence: search(
+        found = ready(lambda sequence=sequence_of(check): search(
             stub, checked.split("/")[1], sequence, group))
         assert as_found(check.candidates) == as_found(found), check.name
         assert [each.vehicle for each in check.candidates.searched] == [
@@ -196,6 +195,29 @@ UNDONE = (api.CANDIDATE_STATE_OPEN, api.CANDIDATE_CAUSE_DELETION)
 GONE = (api.CANDIDATE_STATE_WITHDRAWN, api.CANDIDATE_CAUSE_RETENTION)
 
 
+def is_undecided(check):
+    return any(state.state == api.CANDIDATE_STATE_OPEN for state in check.states)
+
+
+def expect_searched_again_behind(stub, checked, group, sequence):
+    """The checks from a pose on, and no others, come to hold what is found now."""
+    def behind():
+        return [check for check in list_checks(stub, checked)[0]
+                if sequence_of(check) >= sequence and is_undecided(check)]
+
+    wait_until_none_left(
+        lambda: sum(not check.HasField("latest") for check in behind()),
+        "checks behind the link")
+    assert behind()
+    for check in behind():
+        found = ready(lambda sequence=sequence_of(check): search(
+            stub, checked.split("/")[1], sequence, group))
+        assert as_found(check.latest) == as_found(found), check.name
+    assert not any(check.HasField("latest")
+                   for check in list_checks(stub, checked)[0]
+                   if sequence_of(check) < sequence)
+
+
 def test_links_decide_on_what_was_found_once_and_until_they_go(tmp_path, drive):
     store = tmp_path / "store"
     with Server(store, log_path=tmp_path / "first.log") as server:
@@ -204,36 +226,40 @@ def test_links_decide_on_what_was_found_once_and_until_they_go(tmp_path, drive):
         cursor = first_cursor(stub)
         send(stub, checked, poses_of(drive, CHECKED))
         wait_until_paid(stub, checked)
-        _, state, evidence = in_other(list_checks(stub, checked)[0])[0]
-        candidate = state.name
-        link = add_link(
-            stub, group, (evidence.matched_vehicle, evidence.matched.sequence),
-            (checked, evidence.query.sequence), link_id="tie").loop_closure.name
-        decided = wait_for_state(stub, candidate, *CONFIRMED)
+        found = in_other(list_checks(stub, checked)[0])
+        # Far from each other along both paths.
+        (_, tied, tied_evidence), (_, denied, denied_evidence) = (
+            found[len(found) // 2], found[-1])
+        link = add_link(stub, group, (tied_evidence.matched_vehicle,
+                                      tied_evidence.matched.sequence),
+                        (checked, tied_evidence.query.sequence),
+                        link_id="tie").loop_closure.name
+        rejection = reject(stub, group, (checked, denied_evidence.query.sequence),
+                           (denied_evidence.matched_vehicle,
+                            denied_evidence.matched.sequence),
+                           rejected_id="tie").rejected_candidate.name
+        decided = wait_for_state(stub, tied.name, *CONFIRMED)
         assert decided.decision == link == f"{group}/loopClosures/tie"
-        assert told_of(stub, cursor, candidate) == [OPEN, CONFIRMED]
+        assert told_of(stub, cursor, tied.name) == [OPEN, CONFIRMED]
+        decided = wait_for_state(stub, denied.name, *REJECTED)
+        assert decided.decision == rejection
         # Those elsewhere stay open.
         assert any(state.state == api.CANDIDATE_STATE_OPEN for _, state, _
                    in in_other(list_checks(stub, checked)[0]))
+        expect_searched_again_behind(stub, checked, group,
+                                     tied_evidence.query.sequence)
     with Server(store, log_path=tmp_path / "second.log") as server:
         stub = server.stub()
         get(stub, checked)
         delete_link(stub, link)
-        decided = wait_for_state(stub, candidate, *UNDONE)
-        assert not decided.decision
-        assert told_of(stub, cursor, candidate) == [OPEN, CONFIRMED, UNDONE]
-        rejection = reject(
-            stub, group, (checked, evidence.query.sequence),
-            (evidence.matched_vehicle, evidence.matched.sequence),
-            rejected_id="tie").rejected_candidate.name
-        decided = wait_for_state(stub, candidate, *REJECTED)
-        assert decided.decision == rejection
         delete_rejected(stub, rejection)
-        wait_for_state(stub, candidate, *UNDONE)
+        for name in (tied.name, denied.name):
+            decided = wait_for_state(stub, name, *UNDONE)
+            assert not decided.decision
         remove_member(stub, f"{group}/members/{OTHER}")
-        wait_for_state(stub, candidate, *GONE)
-        assert told_of(stub, cursor, candidate) == [
-            OPEN, CONFIRMED, UNDONE, REJECTED, UNDONE, GONE]
+        for name, state in ((tied.name, CONFIRMED), (denied.name, REJECTED)):
+            wait_for_state(stub, name, *GONE)
+            assert told_of(stub, cursor, name) == [OPEN, state, UNDONE, GONE]
 
 
 def test_without_a_membership_the_own_history_alone_is_searched(tmp_path, drive):

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <functional>
@@ -15,9 +16,13 @@
 
 #include "core/drive/drive.h"
 #include "core/drive/joined_drives.h"
+#include "core/drive/node_range.h"
+#include "core/drive/pose_graph.h"
 #include "core/search/search.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "server/sessions/check_changes.h"
+#include "server/sessions/check_monitor.h"
 #include "server/sessions/check_scopes.h"
 #include "server/sessions/stored_checks.h"
 #include "tests/server/error_matchers.h"
@@ -30,6 +35,7 @@ namespace {
 
 using absl::StatusCode;
 using ::testing::_;
+using ::testing::Contains;
 using ::testing::IsEmpty;
 using ::testing::Not;
 using ::testing::SizeIs;
@@ -49,19 +55,44 @@ class FakeScopes final : public CheckScopes {
   }
 
   void ReadGroup(const Request&, ThenGroup then) override {
+    ++groups_read_;
     absl::StatusOr<CheckGroupPtr> group;
     {
       const std::lock_guard<std::mutex> guard(mutex_);
+      if (holds_groups_) {
+        held_.push_back(std::move(then));
+        return;
+      }
       group = group_;
     }
     then(std::move(group));
   }
 
   // Each time another version, as a change of the group would be.
-  void SetGroup(CheckGroup group) {
+  CheckGroupPtr SetGroup(CheckGroup group) {
     const std::lock_guard<std::mutex> guard(mutex_);
     group.version = GroupVersion{"uid-of-site", ++revision_};
+    CheckTies ties = *group.ties;
+    ties.version = group.version;
+    group.ties = std::make_shared<const CheckTies>(std::move(ties));
     group_ = std::make_shared<const CheckGroup>(std::move(group));
+    return *group_;
+  }
+  // Until ReleaseGroups() nobody is told what the group says.
+  void HoldGroups() {
+    const std::lock_guard<std::mutex> guard(mutex_);
+    holds_groups_ = true;
+  }
+  void ReleaseGroups() {
+    std::vector<ThenGroup> held;
+    absl::StatusOr<CheckGroupPtr> group;
+    {
+      const std::lock_guard<std::mutex> guard(mutex_);
+      holds_groups_ = false;
+      held.swap(held_);
+      group = group_;
+    }
+    for (const ThenGroup& then : held) then(group);
   }
   void SetNoGroup() {
     const std::lock_guard<std::mutex> guard(mutex_);
@@ -73,6 +104,7 @@ class FakeScopes final : public CheckScopes {
     answer_ = std::move(answer);
   }
   int asked() const { return asked_; }
+  int groups_read() const { return groups_read_; }
   Request last() const {
     const std::lock_guard<std::mutex> guard(mutex_);
     return last_;
@@ -84,9 +116,12 @@ class FakeScopes final : public CheckScopes {
       absl::UnavailableError("the group is not ready");
   absl::StatusOr<CheckGroupPtr> group_ =
       absl::UnavailableError("the store cannot be reached");
+  bool holds_groups_ = false;
+  std::vector<ThenGroup> held_;
   std::uint64_t revision_ = 0;
   Request last_;
   std::atomic<int> asked_{0};
+  std::atomic<int> groups_read_{0};
 };
 
 VehicleConfig GroupConfig() {
@@ -389,6 +424,100 @@ TEST_F(GroupChecksTest, SecondSearchesLookInTheGroupTooAndLeaveWhatIsAway) {
   for (const auto& [id, state] : states()) {
     EXPECT_EQ(state, CandidateState::kWithdrawn);
   }
+}
+
+TEST_F(GroupChecksTest, LinksHaveWhatTheyConcernSearchedAgainAndNothingElse) {
+  policy_.searches_per_change = kSearchesPerChange;
+  policy_.monitor = std::make_shared<CheckMonitor>();
+  const std::vector<InVan> found = FindInVan();
+  const auto bases = [this] {
+    std::map<std::uint64_t, std::uint64_t> all;
+    for (const CheckRecord& record : Checks()) {
+      all[record.sequence] = check_codec_.DecodeCheck(record.payload)->basis;
+    }
+    return all;
+  };
+  const auto before = bases();
+  const std::uint64_t place = found[found.size() / 2].id.check_sequence;
+  const std::size_t told = Events().size();
+  const auto changed = [&] {
+    std::vector<std::uint64_t> sequences;
+    for (const auto& [sequence, basis] : bases()) {
+      if (basis != before.at(sequence)) sequences.push_back(sequence);
+    }
+    return sequences;
+  };
+  // Has the group say that these tie the vehicle, and waits until what was
+  // searched otherwise than before are these checks.
+  const auto come_to_be_searched =
+      [&](const std::vector<CheckTies::Tie>& tied,
+          const std::vector<std::uint64_t>& wanted) {
+        CheckTies ties;
+        ties.ties = tied;
+        CheckGroup group = WithMembers();
+        group.ties = std::make_shared<const CheckTies>(ties);
+        CheckScope scope = *with_van_;
+        scope.ties = scopes_.SetGroup(group)->ties;
+        scopes_.Answer(std::make_shared<const CheckScope>(std::move(scope)));
+        return Eventually([&] {
+          session_->GoOnWithChecks();
+          ReadNow(*session_).IgnoreError();
+          return changed() == wanted;
+        });
+      };
+  const auto tie = [&](const std::string& id) {
+    return CheckTies::Tie{place,
+                          {id, LinkState::kConfirmed, {1, place}, {2, 1}}};
+  };
+
+  std::vector<std::uint64_t> behind;
+  for (const auto& [sequence, basis] : before) {
+    if (sequence >= place) behind.push_back(sequence);
+  }
+  ASSERT_LT(behind.size(), before.size());
+  ASSERT_TRUE(come_to_be_searched({tie("tie")}, behind));
+
+  // Whoever loads the vehicle waits for what the group says, and then has
+  // nothing to search.
+  const std::uint64_t searched = policy_.monitor->Read().second_searches;
+  EXPECT_GE(searched, behind.size());
+  scopes_.HoldGroups();
+  Reload();
+  // Each read is behind what was begun before it.
+  for (int i = 0; i < 20; ++i) {
+    session_->GoOnWithChecks();
+    ReadNow(*session_).IgnoreError();
+  }
+  const int reads = scopes_.groups_read();
+  scopes_.ReleaseGroups();
+  ASSERT_TRUE(Eventually([&] {
+    session_->GoOnWithChecks();
+    ReadNow(*session_).IgnoreError();
+    return scopes_.groups_read() > reads + 2;
+  }));
+  EXPECT_EQ(policy_.monitor->Read().second_searches, searched);
+  EXPECT_EQ(changed(), behind);
+
+  // A rejected candidate is heeded near its place alone.
+  ASSERT_TRUE(come_to_be_searched({}, {}));
+  const Answer<std::vector<std::uint64_t>> near_place;
+  session_->Read([&, near_place](const absl::StatusOr<VehicleView>& view) {
+    const core::PoseGraph& graph = view->drive.graph();
+    std::vector<std::uint64_t> sequences;
+    for (const auto& [sequence, basis] : before) {
+      if (std::abs(TravelledAt(graph, sequence) - TravelledAt(graph, place)) <=
+          core::kPlaceRadiusMeters) {
+        sequences.push_back(sequence);
+      }
+    }
+    near_place.Set(sequences);
+  });
+  const std::vector<std::uint64_t> near = near_place.Get();
+  ASSERT_THAT(near, Contains(place));
+  ASSERT_LT(near.size(), behind.size());
+  EXPECT_TRUE(come_to_be_searched({tie("~no")}, near));
+  // They found what they had found.
+  EXPECT_EQ(Events().size(), told);
 }
 
 TEST_F(GroupChecksTest, ALinkConfirmsWhatLiesAtItsPlacesUntilItGoes) {
