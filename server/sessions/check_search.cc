@@ -1,7 +1,5 @@
 #include "server/sessions/check_search.h"
 
-#include <memory>
-
 #include "absl/status/statusor.h"
 
 namespace revisit::server {
@@ -45,26 +43,20 @@ void CheckSearch::Post(std::function<void()> turn,
 
 void CheckSearch::Prepare(const std::string& group, std::function<void()> turn,
                           std::function<void()> not_ready) {
-  const auto scope = std::make_shared<CheckScopePtr>();
-  const WriteDone on_strand = queue_->OnStrand(
-      [this, group, scope, turn = std::move(turn),
-       not_ready = std::move(not_ready)](const absl::Status& status) {
-        if (!status.ok()) {
-          not_before_ = Clock::now() + kTryAgainAfter;
-          not_ready();
-          return;
-        }
-        ready_for_ = group;
-        scope_ = std::move(*scope);
-        queue_->PostSearch(policy_.flow, turn);
-      });
-  policy_.scopes->Prepare(
-      {group, vehicle_->id, vehicle_->head.key()},
-      [scope, on_strand](absl::StatusOr<CheckScopePtr> ready) {
-        const absl::Status status = ready.status();
-        if (status.ok()) *scope = *std::move(ready);
-        on_strand(status);
-      });
+  policy_.scopes->Prepare({group, vehicle_->id, vehicle_->head.key()},
+                          queue_->AnswerOnStrand<CheckScopePtr>(
+                              [this, group, turn = std::move(turn),
+                               not_ready = std::move(not_ready)](
+                                  absl::StatusOr<CheckScopePtr> scope) {
+                                if (!scope.ok()) {
+                                  not_before_ = Clock::now() + kTryAgainAfter;
+                                  not_ready();
+                                  return;
+                                }
+                                ready_for_ = group;
+                                scope_ = *std::move(scope);
+                                queue_->PostSearch(policy_.flow, turn);
+                              }));
 }
 
 std::optional<core::CandidateSet> CheckSearch::TakeTurn(core::NodeIndex node) {

@@ -27,7 +27,8 @@ void CheckSteps::Begin(const Step& step,
     queue_->Release([&] { then(false); });
     return;
   }
-  if (write->checks.empty() && write->events.empty()) {
+  if (write->checks.empty() && write->events.empty() &&
+      write->removed.empty()) {
     queue_->Release([&] { then(true); });
     return;
   }

@@ -1,7 +1,6 @@
 #include "server/sessions/link_decisions.h"
 
 #include <algorithm>
-#include <memory>
 #include <utility>
 
 #include "absl/status/status.h"
@@ -47,22 +46,16 @@ void LinkDecisions::Consider() {
 void LinkDecisions::Ask() {
   const std::string& group = vehicle_->head.config().check_group;
   group_id_ = group;
-  const auto read = std::make_shared<CheckGroupPtr>();
-  const WriteDone on_strand =
-      queue_->OnStrand([this, read](const absl::Status& status) {
-        if (status.ok() && MayLook()) {
-          Take(std::move(*read));
-        } else {
-          // The next look asks again.
-          is_at_work_ = false;
-        }
-      });
   scopes_->ReadGroup({group, vehicle_->id, vehicle_->head.key()},
-                     [read, on_strand](absl::StatusOr<CheckGroupPtr> answer) {
-                       const absl::Status status = answer.status();
-                       if (status.ok()) *read = *std::move(answer);
-                       on_strand(status);
-                     });
+                     queue_->AnswerOnStrand<CheckGroupPtr>(
+                         [this](absl::StatusOr<CheckGroupPtr> answer) {
+                           if (answer.ok() && MayLook()) {
+                             Take(*std::move(answer));
+                           } else {
+                             // The next look asks again.
+                             is_at_work_ = false;
+                           }
+                         }));
 }
 
 void LinkDecisions::Take(CheckGroupPtr group) {

@@ -312,40 +312,12 @@ void StoredChecks::TidySoon() {
   }
   tidying_ = true;
   next_tidy_ = now + policy_.tidy_period;
-  queue_->PushBack({Turn::kAlone, [this](const absl::Status& status) {
-                      if (!status.ok() || !changes_.MayWork()) {
-                        tidying_ = false;
-                        return;
-                      }
-                      queue_->Hold();
-                      queue_->PostLong([this] { Tidy(); });
-                    }});
-  queue_->PumpLater();
-}
-
-void StoredChecks::Tidy() {
-  absl::StatusOr<ChecksWrite> write = FindOld();
-  if (!write.ok() || write->removed.empty()) {
-    tidying_ = false;
-    if (!write.ok()) tidy_from_ = 0;
-    queue_->Release([] {});
-    if (tidy_from_ != 0) TidySoon();
-    return;
-  }
-  const ChecksHead after = write->after;
-  vehicle_->storage->PutChecks(
-      vehicle_->head.key(), *std::move(write),
-      queue_->OnStrand([this, after](const absl::Status& status) {
-        tidying_ = false;
-        if (status.ok()) {
-          vehicle_->head.set_checks(after);
-        } else {
-          vehicle_->NoteFailedWrite(status);
-          tidy_from_ = 0;
-        }
-        queue_->Release([] {});
-        if (tidy_from_ != 0) TidySoon();
-      }));
+  steps_.Run([this] { return FindOld(); },
+             [this](bool ok) {
+               tidying_ = false;
+               if (!ok) tidy_from_ = 0;
+               if (tidy_from_ != 0) TidySoon();
+             });
 }
 
 absl::StatusOr<ChecksWrite> StoredChecks::FindOld() {

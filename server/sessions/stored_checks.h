@@ -33,6 +33,7 @@
 #include "server/sessions/check_monitor.h"
 #include "server/sessions/check_scopes.h"
 #include "server/sessions/check_search.h"
+#include "server/sessions/check_steps.h"
 #include "server/sessions/link_decisions.h"
 #include "server/sessions/second_searches.h"
 #include "server/sessions/vehicle_queue.h"
@@ -75,6 +76,7 @@ class StoredChecks {
         in_flight_(in_flight),
         policy_(std::move(policy)),
         changes_(vehicle, policy_.codec),
+        steps_(vehicle, queue, &changes_),
         basis_(vehicle, policy_.scopes != nullptr),
         links_(vehicle, queue, &changes_, &basis_, policy_.scopes,
                [this] { second_.Consider(); }),
@@ -170,7 +172,6 @@ class StoredChecks {
   // Looks for checks that are kept no longer, if it is time, and removes them;
   // what was open of them is withdrawn.
   void TidySoon();
-  void Tidy();
   // Those of the next checks, by sequence, that go. Reads the store.
   absl::StatusOr<ChecksWrite> FindOld();
   // Forgets what is stored.
@@ -184,6 +185,7 @@ class StoredChecks {
   AppendsInFlight* const in_flight_;
   const StoredChecksPolicy policy_;
   const CheckChanges changes_;
+  CheckSteps steps_;
   CheckBasis basis_;
   LinkDecisions links_;
   SecondSearches second_;

@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "absl/status/status.h"
+#include "absl/status/statusor.h"
 #include "server/sessions/appends_in_flight.h"
 #include "server/sessions/executor.h"
 #include "server/sessions/vehicle_state.h"
@@ -98,6 +99,17 @@ class VehicleQueue {
     return [this, keep = session_.lock(),
             then = std::move(then)](const absl::Status& status) {
       strand_->Post([keep, then, status]() mutable { then(status); });
+    };
+  }
+
+  // The same for an answer that has a value.
+  template <typename Value, typename Then>
+  std::function<void(absl::StatusOr<Value>)> AnswerOnStrand(Then then) {
+    return [this, keep = session_.lock(),
+            then = std::move(then)](absl::StatusOr<Value> answer) {
+      strand_->Post([keep, then, answer = std::move(answer)]() mutable {
+        then(std::move(answer));
+      });
     };
   }
 
