@@ -1,7 +1,8 @@
 // How candidates in the drives of many other vehicles are judged, which have no
 // more in common than a map in which each was placed with an error.
 //
-//   street_fleet ASKING OTHERS DATUM_METERS DATUM_DEGREES DRIVE...
+//   street_fleet ASKING OTHERS DATUM_METERS DATUM_DEGREES SEQUENCE_METERS
+//     DRIVE...
 //
 // The first ASKING drives ask, each behind the first OTHERS of those that
 // follow, every 50 m and in the others' histories alone. The truth of all
@@ -127,7 +128,7 @@ struct Score {
 };
 
 void Ask(const Vehicle& asking, const std::vector<Vehicle>& others,
-         Score* score) {
+         double sequence_meters, Score* score) {
   std::vector<JoinedDrive> joined;
   for (const Vehicle& other : others) {
     joined.push_back({other.view, other.datum});
@@ -138,6 +139,7 @@ void Ask(const Vehicle& asking, const std::vector<Vehicle>& others,
                           others.size(), /*exclude_own=*/true};
   const PoseGraph& graph = asking.drive->graph();
   SearchOptions options = asking.drive->settings().search;
+  options.sequence_length_meters = sequence_meters;
   Search search(asking.drive.get());
   for (NodeIndex node = 25; node < graph.size(); node += 25) {
     const auto begin = std::chrono::steady_clock::now();
@@ -177,16 +179,17 @@ void Ask(const Vehicle& asking, const std::vector<Vehicle>& others,
 }  // namespace
 
 int main(int argc, char** argv) {
-  if (argc < 7) {
+  if (argc < 8) {
     std::cerr << "usage: street_fleet ASKING OTHERS DATUM_METERS "
-                 "DATUM_DEGREES DRIVE...\n";
+                 "DATUM_DEGREES SEQUENCE_METERS DRIVE...\n";
     return 2;
   }
   const int asking = std::atoi(argv[1]);
   const int others = std::atoi(argv[2]);
   const double meters = std::atof(argv[3]);
   const double radians = std::atof(argv[4]) * kPi / 180.0;
-  if (asking < 1 || others < 1 || argc < 5 + asking + others) {
+  const double sequence_meters = std::atof(argv[5]);
+  if (asking < 1 || others < 1 || argc < 6 + asking + others) {
     std::cerr << "there are fewer drives than that\n";
     return 2;
   }
@@ -195,14 +198,14 @@ int main(int argc, char** argv) {
   std::vector<Vehicle> behind;
   for (int i = 0; i < asking + others; ++i) {
     (i < asking ? asked : behind)
-        .push_back(Load(argv[5 + i], meters, radians, random));
+        .push_back(Load(argv[6 + i], meters, radians, random));
   }
   Score score;
-  for (const Vehicle& vehicle : asked) Ask(vehicle, behind, &score);
+  for (const Vehicle& vehicle : asked) Ask(vehicle, behind, sequence_meters, &score);
   std::cout << absl::StrFormat(
-      "| %d | %.0f m | %d | %d | %.3f | %.3f | %d of %d | %.2f | %d of %d | "
+      "| %d | %.0f m | %.0f m | %d | %d | %.3f | %.3f | %d of %d | %.2f | %d of %d | "
       "%.1f ms |\n",
-      others, meters, score.checks, score.passed,
+      others, meters, sequence_meters, score.checks, score.passed,
       score.right / std::max(1.0, 1.0 * score.accepted),
       score.right / std::max(1.0, 1.0 * score.passed), score.accepted_at_new,
       score.at_new, score.new_probability / std::max(1, score.at_new),
