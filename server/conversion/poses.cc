@@ -1,12 +1,21 @@
 #include "server/conversion/poses.h"
 
+#include <algorithm>
+#include <string>
+
+#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/string_view.h"
+#include "absl/strings/strip.h"
+#include "server/conversion/pose_columns.h"
 #include "server/fields/enums.h"
 #include "server/fields/pose_decoder.h"
 #include "server/fields/pose_fields.h"
 #include "server/records/batch_records.h"
 
 namespace revisit::server {
+
+using absl::StrCat;
 
 static_assert(AreCovarianceForms(v1::COVARIANCE_FORM_PLANAR_6,
                                  v1::COVARIANCE_FORM_SPATIAL_10,
@@ -18,34 +27,92 @@ constexpr EnumRow<v1::PoseView, BatchVersion> kViews[] = {
     {v1::POSE_VIEW_CURRENT, BatchVersion::kCurrent},
     {v1::POSE_VIEW_AS_SENT, BatchVersion::kAsSent}};
 
-}  // namespace
+absl::Status CheckCount(int count, int max_poses, const FieldPath& path) {
+  if (count >= 1 && count <= max_poses) return absl::OkStatus();
+  return InvalidField(
+      "BATCH_SIZE", path,
+      StrCat("got ", count, " poses; allowed is [1, ", max_poses, "]"));
+}
 
-absl::StatusOr<DecodedBatch> DecodeBatch(const Poses& poses, int max_poses,
-                                         const VehicleConfig& config,
-                                         const FieldPath& path) {
-  if (poses.empty() || poses.size() > max_poses) {
-    return InvalidField(
-        "BATCH_SIZE", path.Field("poses"),
-        absl::StrCat("got ", poses.size(), " poses; allowed is [1, ", max_poses,
-                     "]"));
-  }
-  Violations violations;
-  PoseDecoder decoder(config, PoseSource::kAppend, &violations);
+// The poses lie below `path` as a field `poses`.
+template <typename FieldsOf>
+absl::StatusOr<DecodedBatch> Decode(std::size_t count, FieldsOf fields_of,
+                                    const FieldPath& path,
+                                    const VehicleConfig& config,
+                                    Violations* violations) {
+  PoseDecoder decoder(config, PoseSource::kAppend, violations);
   DecodedBatch batch;
-  BatchEncoder encoder(static_cast<std::size_t>(poses.size()));
+  BatchEncoder encoder(count);
   batch.samples =
-      DecodePoses(poses, path, &decoder, &violations,
+      DecodePoses(count, fields_of, path, &decoder, violations,
                   [&](const PoseFields& pose) { encoder.Measure(pose); });
-  if (violations.count() > 0) return violations.ToStatus();
-  encoder.Write(poses, &batch);
+  if (violations->count() > 0) return violations->ToStatus();
+  encoder.Write(fields_of, &batch);
   batch.origin = decoder.origin();
   return batch;
 }
 
-BatchDecoder DecoderOf(const Poses* poses, int max_poses, const char* parent) {
-  return [poses, max_poses, parent](const VehicleConfig& config) {
+// The column of a field that Decode() calls "poses[3].local.x_meters".
+std::string NameIn(const PoseColumns& columns, const std::string& name) {
+  absl::string_view rest = name;
+  std::size_t index = 0;
+  const std::size_t end = name.find(']');
+  if (!absl::ConsumePrefix(&rest, "poses[") || end == std::string::npos ||
+      !absl::SimpleAtoi(name.substr(6, end - 6), &index)) {
+    return name;
+  }
+  return columns.ColumnOf(index, name.substr(std::min(end + 2, name.size())));
+}
+
+}  // namespace
+
+std::uint64_t SentPoses::count() const {
+  const int in_columns = columns == nullptr ? 0 : columns->pose_count();
+  return static_cast<std::uint64_t>(poses->size()) +
+         static_cast<std::uint64_t>(std::max(0, in_columns));
+}
+
+absl::StatusOr<DecodedBatch> DecodeBatch(const SentPoses& sent, int max_poses,
+                                         const VehicleConfig& config,
+                                         const FieldPath& path) {
+  if (sent.columns == nullptr) {
+    if (absl::Status status =
+            CheckCount(sent.poses->size(), max_poses, path.Field("poses"));
+        !status.ok()) {
+      return status;
+    }
+    Violations violations;
+    return Decode(static_cast<std::size_t>(sent.poses->size()),
+                  FieldsOfEach(*sent.poses), path, config, &violations);
+  }
+  const FieldPath in_columns = path.Field("columns");
+  if (!sent.poses->empty()) {
+    return InvalidField(kInvalidField, in_columns,
+                        "got both this and `poses`; allowed is one");
+  }
+  if (absl::Status status = CheckCount(sent.columns->pose_count(), max_poses,
+                                       in_columns.Field("pose_count"));
+      !status.ok()) {
+    return status;
+  }
+  Violations violations;
+  PoseColumns columns(*sent.columns, in_columns, &violations);
+  if (violations.count() > 0) return violations.ToStatus();
+  absl::StatusOr<DecodedBatch> batch = Decode(
+      columns.size(), [&](std::size_t i) { return columns.At(i); }, FieldPath(),
+      config, &violations);
+  if (batch.ok()) return batch;
+  violations.Rename([&](const std::string& name) {
+    return StrCat(in_columns.ToString(), ".", NameIn(columns, name));
+  });
+  return violations.ToStatus();
+}
+
+BatchDecoder DecoderOf(const SentPoses& sent, int max_poses,
+                       const char* parent) {
+  return [sent, max_poses, parent](const VehicleConfig& config) {
     const FieldPath request;
-    return DecodeBatch(*poses, max_poses, config,
+    return DecodeBatch(sent, max_poses, config,
                        parent == nullptr ? request : request.Field(parent));
   };
 }

@@ -3,6 +3,7 @@
 #define REVISIT_SERVER_CONVERSION_POSES_H_
 
 #include <cstddef>
+#include <cstdint>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
@@ -19,14 +20,35 @@ namespace revisit::server {
 
 using Poses = google::protobuf::RepeatedPtrField<v1::Pose>;
 
-// A batch as AppendPoses takes it. The field `poses` lies below `path`.
-absl::StatusOr<DecodedBatch> DecodeBatch(const Poses& poses, int max_poses,
+// The poses of a request, in one of the two forms that there are. It points
+// into the request.
+struct SentPoses {
+  // Never null.
+  const Poses* poses;
+  // Null if absent.
+  const v1::PoseColumns* columns;
+
+  // How many there are by their own account, or more where both are there.
+  std::uint64_t count() const;
+};
+
+// Message: one with `poses` and `columns`.
+template <typename Message>
+SentPoses SentPosesOf(const Message& message) {
+  return {&message.poses(),
+          message.has_columns() ? &message.columns() : nullptr};
+}
+
+// A batch as AppendPoses takes it. The fields `poses` and `columns` lie below
+// `path`.
+absl::StatusOr<DecodedBatch> DecodeBatch(const SentPoses& sent, int max_poses,
                                          const VehicleConfig& config,
                                          const FieldPath& path);
 
 // DecodeBatch() for when the vehicle's config is known. The poses must stay as
-// they are until then; `parent` is the field that `poses` lies below, or null.
-BatchDecoder DecoderOf(const Poses* poses, int max_poses, const char* parent);
+// they are until then; `parent` is the field that they lie below, or null.
+BatchDecoder DecoderOf(const SentPoses& sent, int max_poses,
+                       const char* parent);
 
 // Drops fields that this version does not know, so that they take no room in
 // the draft of a revision. None reaches a record in any case.

@@ -9,10 +9,10 @@
 namespace revisit::server {
 namespace {
 
-using Values = google::protobuf::RepeatedField<double>;
+using Values = absl::Span<const double>;
 
 // Whether there are as many numbers as needed, all finite.
-bool CheckValues(const Values& values, int needed, const char* form,
+bool CheckValues(Values values, std::size_t needed, const char* form,
                  const FieldPath& path, Violations* violations) {
   if (values.size() != needed) {
     violations->Add("COVARIANCE_SIZE", path.Field("values"),
@@ -21,15 +21,14 @@ bool CheckValues(const Values& values, int needed, const char* form,
     return false;
   }
   bool finite = true;
-  for (int i = 0; i < needed; ++i) {
-    finite &= CheckFinite(
-        values[i], path.At("values", static_cast<std::size_t>(i)), violations);
+  for (std::size_t i = 0; i < needed; ++i) {
+    finite &= CheckFinite(values[i], path.At("values", i), violations);
   }
   return finite;
 }
 
-void TakePlanar(const Values& values, core::Covariance* covariance) {
-  int next = 0;
+void TakePlanar(Values values, core::Covariance* covariance) {
+  std::size_t next = 0;
   for (int r = 0; r < 3; ++r) {
     for (int c = r; c < 3; ++c) {
       (*covariance)(core::StateIndex<3>(r), core::StateIndex<3>(c)) =
@@ -39,9 +38,8 @@ void TakePlanar(const Values& values, core::Covariance* covariance) {
 }
 
 // A PLANAR vehicle leaves out the row and column of z.
-void TakeSpatial(const Values& values, bool spatial,
-                 core::Covariance* covariance) {
-  int next = 0;
+void TakeSpatial(Values values, bool spatial, core::Covariance* covariance) {
+  std::size_t next = 0;
   for (int r = 0; r < 4; ++r) {
     for (int c = r; c < 4; ++c, ++next) {
       if (spatial || (r != 2 && c != 2)) {
@@ -52,7 +50,7 @@ void TakeSpatial(const Values& values, bool spatial,
 }
 
 // Takes the rows and columns x, y, (z) and rotation about z.
-void TakeRos(const Values& values, bool spatial, const FieldPath& path,
+void TakeRos(Values values, bool spatial, const FieldPath& path,
              core::Covariance* covariance, Violations* violations) {
   static constexpr int kRosRow[] = {0, 1, 2, 5};
   std::array<int, 4> kept{0, 1, 2, 3};
@@ -66,7 +64,8 @@ void TakeRos(const Values& values, bool spatial, const FieldPath& path,
     for (int c = 0; c < size; ++c) {
       const int row = kept[static_cast<std::size_t>(r)];
       const int column = kept[static_cast<std::size_t>(c)];
-      const double value = values[6 * kRosRow[row] + kRosRow[column]];
+      const double value =
+          values[static_cast<std::size_t>(6 * kRosRow[row] + kRosRow[column])];
       reduced[static_cast<std::size_t>(size * r + c)] = value;
       if (c >= r) (*covariance)(row, column) = value;
     }
@@ -84,7 +83,7 @@ void DecodeCovariance(const CovarianceFields& fields, core::StateSpace space,
                       const FieldPath& path, core::Covariance* covariance,
                       Violations* violations) {
   const bool spatial = space == core::StateSpace::kSpatial;
-  const Values& values = *fields.values;
+  const Values values = fields.values;
   switch (fields.form) {
     case CovarianceForm::kPlanar6:
       if (spatial) {
@@ -146,7 +145,8 @@ std::size_t TransitionIndex(core::StateSpace space, int row, int column) {
 }
 
 void EncodeTransition(const core::ErrorTransition& transition,
-                      core::StateSpace space, Values* values) {
+                      core::StateSpace space,
+                      google::protobuf::RepeatedField<double>* values) {
   values->Clear();
   const int size = core::DegreesOfFreedom(space);
   for (int r = 0; r < size; ++r) {

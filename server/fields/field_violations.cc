@@ -2,6 +2,8 @@
 
 #include <cmath>
 #include <cstdint>
+#include <set>
+#include <utility>
 
 #include "absl/strings/ascii.h"
 #include "absl/strings/escaping.h"
@@ -57,6 +59,19 @@ void Violations::Add(const char* reason, const FieldPath& path,
                      const std::string& description) {
   if (violations_.empty()) reason_ = reason;
   violations_.push_back({path.ToString(), description});
+}
+
+void Violations::Rename(
+    const std::function<std::string(const std::string&)>& name_of) {
+  std::set<std::pair<std::string, std::string>> seen;
+  std::vector<FieldViolation> renamed;
+  for (FieldViolation& violation : violations_) {
+    violation.field = name_of(violation.field);
+    if (seen.emplace(violation.field, violation.description).second) {
+      renamed.push_back(std::move(violation));
+    }
+  }
+  violations_ = std::move(renamed);
 }
 
 absl::Status Violations::ToStatus() const {

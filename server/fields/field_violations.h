@@ -3,6 +3,7 @@
 #define REVISIT_SERVER_FIELDS_FIELD_VIOLATIONS_H_
 
 #include <cstddef>
+#include <functional>
 #include <string>
 #include <vector>
 
@@ -58,6 +59,10 @@ class Violations {
            const std::string& description);
 
   std::size_t count() const { return violations_.size(); }
+
+  // Gives each the name that `name_of` has for its own one. Those that then say
+  // the same of one field are one.
+  void Rename(const std::function<std::string(const std::string&)>& name_of);
 
   // OK if there are none; otherwise InvalidFields() with the reason of the
   // first.

@@ -183,7 +183,7 @@ std::optional<PoseDecoder::Forward> PoseDecoder::DecodeQuaternion(
 void PoseDecoder::DecodeTransition(const PoseFields& pose,
                                    const FieldPath& path,
                                    core::PoseSample* sample) {
-  const int given = pose.error_transition->size();
+  const auto given = static_cast<int>(pose.error_transition.size());
   const FieldPath field = path.Field("error_transition");
   if (!core::NoiseOf(config_.drive.search.correlation_model)
            .carries_transitions) {
@@ -210,10 +210,9 @@ void PoseDecoder::DecodeTransition(const PoseFields& pose,
   core::ErrorTransition transition;
   bool finite = true;
   for (int i = 0; i < given; ++i) {
-    const double value = (*pose.error_transition)[i];
-    finite &= CheckFinite(
-        value, path.At("error_transition", static_cast<std::size_t>(i)),
-        violations_);
+    const auto k = static_cast<std::size_t>(i);
+    const double value = pose.error_transition[k];
+    finite &= CheckFinite(value, path.At("error_transition", k), violations_);
     transition.values[TransitionIndex(space_, i / size, i % size)] = value;
   }
   if (finite) sample->transition = transition;

@@ -74,19 +74,20 @@ class PoseDecoder {
 void CheckFollows(std::uint64_t before, std::uint64_t sequence,
                   const FieldPath& path, Violations* violations);
 
-// Decodes the poses of a batch, which have to follow each other; the field
+// Decodes so many poses, which have to follow each other: `fields_of(i)` has
+// the fields of one, which may be valid until the next is asked for. The field
 // `poses` lies below `path`. Calls `each` with the fields of every pose.
-template <typename Poses, typename Each>
-std::vector<core::PoseSample> DecodePoses(const Poses& poses,
+template <typename FieldsOf, typename Each>
+std::vector<core::PoseSample> DecodePoses(std::size_t count, FieldsOf fields_of,
                                           const FieldPath& path,
                                           PoseDecoder* decoder,
                                           Violations* violations, Each each) {
   std::vector<core::PoseSample> samples;
-  samples.reserve(static_cast<std::size_t>(poses.size()));
+  samples.reserve(count);
   std::uint64_t before = 0;
-  for (const auto& message : poses) {
-    const PoseFields fields = PoseFieldsOf(message);
-    const FieldPath pose = path.At("poses", samples.size());
+  for (std::size_t i = 0; i < count; ++i) {
+    const PoseFields fields = fields_of(i);
+    const FieldPath pose = path.At("poses", i);
     const bool is_first = samples.empty();
     samples.push_back(decoder->Decode(fields, pose));
     if (!is_first) CheckFollows(before, fields.sequence, pose, violations);

@@ -4,12 +4,13 @@
 #define REVISIT_SERVER_FIELDS_POSE_FIELDS_H_
 
 #include <array>
+#include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <optional>
 #include <string>
 
-#include "google/protobuf/repeated_field.h"
+#include "absl/types/span.h"
 #include "google/protobuf/timestamp.pb.h"
 
 namespace revisit::server {
@@ -31,8 +32,8 @@ constexpr bool AreCovarianceForms(int planar_6, int spatial_10, int ros_36) {
 
 struct CovarianceFields {
   CovarianceForm form{};
-  // Never null; valid as long as the message.
-  const google::protobuf::RepeatedField<double>* values = nullptr;
+  // Valid as long as the message.
+  absl::Span<const double> values;
 };
 
 // Where a recording begins, as its message has it. It points into the message,
@@ -70,8 +71,8 @@ struct PoseFields {
   // The heading in radians, first; or x, y, z, w.
   std::array<double, 4> orientation{};
   std::optional<CovarianceFields> covariance;
-  // Never null; empty if absent.
-  const google::protobuf::RepeatedField<double>* error_transition = nullptr;
+  // Empty if absent.
+  absl::Span<const double> error_transition;
   // Null if absent, as it is in most poses.
   std::shared_ptr<const RecordingStartFields> recording_start;
 
@@ -81,7 +82,7 @@ struct PoseFields {
 // Covariance: a message with `form` and `values`.
 template <typename Covariance>
 CovarianceFields CovarianceFieldsOf(const Covariance& covariance) {
-  return {static_cast<CovarianceForm>(covariance.form()), &covariance.values()};
+  return {static_cast<CovarianceForm>(covariance.form()), covariance.values()};
 }
 
 // A start of kDatum without a label. Datum: a message with the fields of a
@@ -149,12 +150,20 @@ PoseFields PoseFieldsOf(const Pose& pose) {
   if (pose.has_covariance()) {
     fields.covariance = CovarianceFieldsOf(pose.covariance());
   }
-  fields.error_transition = &pose.error_transition();
+  fields.error_transition = pose.error_transition();
   if (pose.has_recording_start()) {
     fields.recording_start = std::make_shared<const RecordingStartFields>(
         RecordingStartFieldsOf(pose.recording_start()));
   }
   return fields;
+}
+
+// The fields of each of these messages by its index, for DecodePoses().
+template <typename Poses>
+auto FieldsOfEach(const Poses& poses) {
+  return [&poses](std::size_t i) {
+    return PoseFieldsOf(poses[static_cast<int>(i)]);
+  };
 }
 
 // The measurement between the two poses of a loop closure, as its message has
@@ -187,7 +196,8 @@ template <typename Covariance>
 void SetCovariance(const CovarianceFields& fields, Covariance* covariance) {
   using Form = decltype(covariance->form());
   covariance->set_form(static_cast<Form>(fields.form));
-  *covariance->mutable_values() = *fields.values;
+  covariance->mutable_values()->Assign(fields.values.begin(),
+                                       fields.values.end());
 }
 
 // Sets position, orientation and covariance: what a pose estimates.
@@ -280,7 +290,8 @@ void SetPose(const PoseFields& fields, Pose* pose) {
     pose->clear_stamp();
   }
   SetEstimate(fields, pose);
-  *pose->mutable_error_transition() = *fields.error_transition;
+  pose->mutable_error_transition()->Assign(fields.error_transition.begin(),
+                                           fields.error_transition.end());
   if (fields.recording_start) {
     SetRecordingStart(*fields.recording_start, pose->mutable_recording_start());
   } else {

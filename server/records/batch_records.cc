@@ -27,8 +27,9 @@ std::optional<core::ErrorTransition> TurnedTransition(
 // stays.
 void Replace(const PoseFields& revised, const VehicleConfig& config,
              stored::Pose* stored) {
-  if (!revised.error_transition->empty()) {
-    *stored->mutable_error_transition() = *revised.error_transition;
+  if (!revised.error_transition.empty()) {
+    stored->mutable_error_transition()->Assign(revised.error_transition.begin(),
+                                               revised.error_transition.end());
   } else if (stored->error_transition_size() > 0 && stored->has_geodetic() &&
              revised.position_kind == PoseFields::Position::kLocal) {
     // The transition speaks of the axes at the geodetic position, which go

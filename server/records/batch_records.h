@@ -30,13 +30,12 @@ class BatchEncoder {
   void Measure(const PoseFields& pose);
 
   // Sets payload and fingerprints of the batch to those of the poses that were
-  // measured, which are these messages.
-  template <typename Poses>
-  void Write(const Poses& poses, DecodedBatch* batch) const {
+  // measured: `fields_of(i)` has the fields of one, as DecodePoses() says.
+  template <typename FieldsOf>
+  void Write(FieldsOf fields_of, DecodedBatch* batch) const {
     std::uint8_t* next = Begin(batch);
-    auto stored = stored_.begin();
-    for (const auto& pose : poses) {
-      next = Add(*stored++, PoseFieldsOf(pose), next, batch);
+    for (std::size_t i = 0; i < stored_.size(); ++i) {
+      next = Add(stored_[i], fields_of(i), next, batch);
     }
   }
 

@@ -79,8 +79,9 @@ absl::StatusOr<DecodedBatch> DecodeStored(const stored::PoseBatch& stored,
   Violations violations;
   PoseDecoder decoder(config, PoseSource::kStored, &violations);
   DecodedBatch batch;
-  batch.samples = DecodePoses(stored.poses(), FieldPath(), &decoder,
-                              &violations, [](const PoseFields&) {});
+  batch.samples = DecodePoses(static_cast<std::size_t>(stored.poses_size()),
+                              FieldsOfEach(stored.poses()), FieldPath(),
+                              &decoder, &violations, [](const PoseFields&) {});
   if (violations.count() > 0) return violations.ToStatus();
   batch.origin = decoder.origin();
   return batch;

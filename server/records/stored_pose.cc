@@ -4,14 +4,13 @@
 #include <array>
 #include <cstring>
 
+#include "absl/types/span.h"
 #include "google/protobuf/io/coded_stream.h"
-#include "google/protobuf/repeated_field.h"
 #include "server/records/stored_records.pb.h"
 
 namespace revisit::server {
 namespace {
 
-using google::protobuf::RepeatedField;
 using google::protobuf::io::CodedOutputStream;
 
 enum class WireType : std::uint32_t { kVarint = 0, kFixed64 = 1, kBytes = 2 };
@@ -49,10 +48,8 @@ std::size_t BytesSize(std::size_t size) {
   return 1 + CodedOutputStream::VarintSize64(size) + size;
 }
 
-std::size_t PackedSize(const RepeatedField<double>& values) {
-  return values.empty() ? 0
-                        : BytesSize(sizeof(double) *
-                                    static_cast<std::size_t>(values.size()));
+std::size_t PackedSize(absl::Span<const double> values) {
+  return values.empty() ? 0 : BytesSize(sizeof(double) * values.size());
 }
 
 // ---- Fields
@@ -75,11 +72,10 @@ std::uint8_t* BeginBytes(int field, std::size_t size, std::uint8_t* next) {
   return CodedOutputStream::WriteVarint64ToArray(size, next);
 }
 
-std::uint8_t* WritePacked(int field, const RepeatedField<double>& values,
+std::uint8_t* WritePacked(int field, absl::Span<const double> values,
                           std::uint8_t* next) {
   if (values.empty()) return next;
-  next = BeginBytes(
-      field, sizeof(double) * static_cast<std::size_t>(values.size()), next);
+  next = BeginBytes(field, sizeof(double) * values.size(), next);
   for (const double value : values) {
     next = CodedOutputStream::WriteLittleEndian64ToArray(BitsOf(value), next);
   }
@@ -122,7 +118,7 @@ std::uint64_t Widened(std::int64_t value) {
 }  // namespace
 
 StoredPose::StoredPose(const PoseFields& pose) {
-  size_ = VarintSize(pose.sequence) + PackedSize(*pose.error_transition);
+  size_ = VarintSize(pose.sequence) + PackedSize(pose.error_transition);
   if (pose.stamp != nullptr) {
     stamp_size_ =
         static_cast<std::uint32_t>(VarintSize(Widened(pose.stamp->seconds())) +
@@ -142,7 +138,7 @@ StoredPose::StoredPose(const PoseFields& pose) {
   if (pose.covariance) {
     covariance_size_ = static_cast<std::uint32_t>(
         VarintSize(Widened(static_cast<int>(pose.covariance->form))) +
-        PackedSize(*pose.covariance->values));
+        PackedSize(pose.covariance->values));
     size_ += BytesSize(covariance_size_);
   }
   if (pose.recording_start) {
@@ -184,10 +180,10 @@ std::uint8_t* StoredPose::Write(const PoseFields& pose,
     next = WriteVarint(stored::Covariance::kFormFieldNumber,
                        Widened(static_cast<int>(pose.covariance->form)), next);
     next = WritePacked(stored::Covariance::kValuesFieldNumber,
-                       *pose.covariance->values, next);
+                       pose.covariance->values, next);
   }
   next = WritePacked(stored::Pose::kErrorTransitionFieldNumber,
-                     *pose.error_transition, next);
+                     pose.error_transition, next);
   if (recording_start_ != nullptr) {
     next = BeginBytes(stored::Pose::kRecordingStartFieldNumber,
                       recording_start_->size(), next);

@@ -42,7 +42,7 @@ class UnaryAppend final : public AppendObserver {
   }
 
   void OnDurable(const absl::StatusOr<Acknowledgement>& result) override {
-    const auto poses = static_cast<std::uint64_t>(request_->poses_size());
+    const std::uint64_t poses = SentPosesOf(*request_).count();
     if (result.ok()) {
       counts_->Acknowledged(poses, result->accepted_poses,
                             std::chrono::steady_clock::now() - start_);
@@ -91,13 +91,12 @@ absl::Status AppendPoses(const ServiceContext& service,
                          v1::AppendPosesResponse* response) {
   const auto session = Admit(service, request, call.get());
   if (!session.ok()) {
-    service.counts->Refused(static_cast<std::uint64_t>(request.poses_size()),
-                            session.status());
+    service.counts->Refused(SentPosesOf(request).count(), session.status());
     return session.status();
   }
   AppendRequest append;
   append.decode =
-      DecoderOf(&request.poses(), service.limits.max_batch_poses, nullptr);
+      DecoderOf(SentPosesOf(request), service.limits.max_batch_poses, nullptr);
   append.vehicle_uid = request.vehicle_uid();
   (*session)->Append(
       std::move(append),

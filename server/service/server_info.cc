@@ -24,6 +24,7 @@ absl::Status GetServerInfo(const ServiceContext& service,
   EncodeDurability(service.storage->GetDurability(), response);
   response->set_store_format(kStoreFormat);
   response->set_max_batch_poses(service.limits.max_batch_poses);
+  response->set_takes_pose_columns(true);
   response->set_max_message_bytes(service.limits.max_message_bytes);
   response->set_max_batches_in_flight(service.limits.max_batches_in_flight);
   // A tenant does not learn how much others have on the servers.

@@ -309,6 +309,7 @@ class PoseStream final : public BidiCall<PoseStream> {
     opened->set_revision(view->revision);
     opened->set_max_batch_poses(context_.limits.max_batch_poses);
     opened->set_vehicle_uid(view->config.uid);
+    opened->set_takes_pose_columns(true);
     const MutexLock lock(&mutex_);
     handling_ = false;
     queue_.Add(std::move(response));
@@ -325,8 +326,8 @@ class PoseStream final : public BidiCall<PoseStream> {
     // The staged batch takes about as much memory as the message.
     const auto bytes = static_cast<std::size_t>(arena_.SpaceUsed());
     absl::StatusOr<Permit> permit = room().AdmitBatch(bytes);
-    const auto poses =
-        static_cast<std::uint64_t>(request_->batch().poses_size());
+    const SentPoses sent = SentPosesOf(request_->batch());
+    const std::uint64_t poses = sent.count();
     if (!permit.ok()) {
       context_.counts->Refused(poses, permit.status());
       return permit.status();
@@ -341,8 +342,7 @@ class PoseStream final : public BidiCall<PoseStream> {
       session = session_.get();
     }
     AppendRequest append;
-    append.decode = DecoderOf(&request_->batch().poses(),
-                              context_.limits.max_batch_poses, "batch");
+    append.decode = DecoderOf(sent, context_.limits.max_batch_poses, "batch");
     if (send_candidates_) append.checks = checks_;
     session->Append(std::move(append),
                     std::make_shared<Batch>(shared_from_this(), poses, bytes,

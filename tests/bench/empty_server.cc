@@ -33,7 +33,11 @@ class EmptyStream final
     }
     if (request_.has_batch()) {
       const v1::PoseBatch& batch = request_.batch();
-      durable_ = batch.poses(batch.poses_size() - 1).sequence();
+      const v1::PoseColumns& columns = batch.columns();
+      durable_ = batch.has_columns()
+                     ? columns.first_sequence() +
+                           static_cast<std::uint64_t>(columns.pose_count()) - 1
+                     : batch.poses(batch.poses_size() - 1).sequence();
     }
     ++unanswered_;
     Write();

@@ -37,6 +37,7 @@ json MeasureStreams(Kind kind, const Options& options, int vehicles,
   Server server(kind, options);
   LoadOptions load;
   load.batch_poses = batch_poses;
+  load.as_columns = options.form == "columns";
   Streams streams(&server, vehicles, load);
   // Until caches and windows are as they stay.
   SleepFor(std::min(0.5, options.seconds / 4.0));
@@ -328,6 +329,7 @@ constexpr char kUsage[] =
     "usage: revisit_server_bench [--seconds S] [--rounds N] [--nodes N]\n"
     "           [--many-nodes N] [--directory DIR] [--shared-store URL]\n"
     "           [--only ingest|metrics|query|stall] [--batch-poses N]\n"
+    "           [--form messages|columns]\n"
     "       revisit_server_bench --only watch [--streams N] [--watchers N]\n"
     "           [--poses-per-second N] [--seconds S] [--rounds N]\n"
     "           [--directory DIR] [--batch-poses N]\n";
@@ -337,6 +339,7 @@ bool SetOption(const std::string& flag, const std::string& value,
                Options* options) {
   const std::map<std::string, std::string*> texts = {
       {"--directory", &options->directory},
+      {"--form", &options->form},
       {"--only", &options->only},
       {"--shared-store", &options->shared_store}};
   const std::map<std::string, double*> numbers = {

@@ -24,6 +24,8 @@ struct Options {
   // a batch, if not 0.
   std::string only;
   int batch_poses = 0;
+  // How streams send poses: "messages" or "columns".
+  std::string form = "messages";
   // So many vehicles, each with a stream, have their checks stored, and so many
   // watches look at them. The rate is that of all poses together.
   int streams = 1000;

@@ -204,19 +204,50 @@ class StreamLoad::Reactor final
              static_cast<std::uint64_t>(options_.window_poses))) {
       return;
     }
-    auto* poses = request_.mutable_batch()->mutable_poses();
-    while (poses->size() < options_.batch_poses) poses->Add();
-    for (v1::Pose& pose : *poses) options_.set_pose(++sent_, &pose);
+    if (options_.as_columns) {
+      FillColumns();
+    } else {
+      auto* poses = request_.mutable_batch()->mutable_poses();
+      while (poses->size() < options_.batch_poses) poses->Add();
+      for (v1::Pose& pose : *poses) options_.set_pose(++sent_, &pose);
+    }
     in_flight_.push_back({sent_, due_.empty() ? Clock::now() : due_.front()});
     if (!due_.empty()) due_.pop_front();
     writing_ = true;
     StartWrite(&request_);
   }
 
+  void FillColumns() {
+    v1::PoseColumns& columns = *request_.mutable_batch()->mutable_columns();
+    columns.Clear();
+    columns.set_first_sequence(sent_ + 1);
+    columns.set_pose_count(options_.batch_poses);
+    std::int64_t before_ns = 0;
+    for (int i = 0; i < options_.batch_poses; ++i) {
+      options_.set_pose(++sent_, &pose_);
+      const std::int64_t stamp_ns =
+          pose_.stamp().seconds() * 1'000'000'000 + pose_.stamp().nanos();
+      if (i == 0) {
+        *columns.mutable_first_stamp() = pose_.stamp();
+        columns.set_covariance_form(pose_.covariance().form());
+      } else {
+        columns.add_stamp_step_nanos(stamp_ns - before_ns);
+      }
+      before_ns = stamp_ns;
+      columns.add_x_meters(pose_.local().x_meters());
+      columns.add_y_meters(pose_.local().y_meters());
+      columns.add_z_meters(pose_.local().z_meters());
+      columns.add_heading_radians(pose_.heading_radians());
+      columns.mutable_covariances()->MergeFrom(pose_.covariance().values());
+    }
+  }
+
   const LoadOptions options_;
   const std::unique_ptr<v1::PoseGraphService::Stub> stub_;
   grpc::ClientContext context_;
   v1::StreamPosesRequest request_;
+  // The last one of those that were made columns.
+  v1::Pose pose_;
   v1::StreamPosesResponse response_;
 
   mutable std::mutex mutex_;

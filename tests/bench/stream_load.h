@@ -28,6 +28,8 @@ void SetLapPose(std::uint64_t sequence, v1::Pose* pose);
 struct LoadOptions {
   int batch_poses = 64;
   void (*set_pose)(std::uint64_t, v1::Pose*) = SetPose;
+  // Whether batches are PoseColumns rather than messages Pose.
+  bool as_columns = false;
   // A batch is sent once fewer than this many poses, and batches, are not
   // acknowledged.
   int window_poses = 4096;

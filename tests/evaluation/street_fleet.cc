@@ -201,9 +201,11 @@ int main(int argc, char** argv) {
         .push_back(Load(argv[6 + i], meters, radians, random));
   }
   Score score;
-  for (const Vehicle& vehicle : asked) Ask(vehicle, behind, sequence_meters, &score);
+  for (const Vehicle& vehicle : asked)
+    Ask(vehicle, behind, sequence_meters, &score);
   std::cout << absl::StrFormat(
-      "| %d | %.0f m | %.0f m | %d | %d | %.3f | %.3f | %d of %d | %.2f | %d of %d | "
+      "| %d | %.0f m | %.0f m | %d | %d | %.3f | %.3f | %d of %d | %.2f | %d "
+      "of %d | "
       "%.1f ms |\n",
       others, meters, sequence_meters, score.checks, score.passed,
       score.right / std::max(1.0, 1.0 * score.accepted),

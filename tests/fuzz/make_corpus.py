@@ -13,7 +13,7 @@ sys.path.insert(0, str(HERE.parent / "integration"))
 from google.protobuf import field_mask_pb2, timestamp_pb2  # noqa: E402
 
 from stubs import api  # noqa: E402
-from wire import laps, pose, straight  # noqa: E402
+from wire import columns_of, laps, pose, straight  # noqa: E402
 
 
 def write(target, name, data):
@@ -108,7 +108,12 @@ def requests():
     for name, (kind, poses) in POSES.items():
         put(f"append_{name}", 2, api.AppendPosesRequest(
             vehicle=NAME, poses=poses), kind)
+        if name != "extreme":
+            put(f"append_columns_{name}", 2, api.AppendPosesRequest(
+                vehicle=NAME, columns=columns_of(poses)), kind)
     kind, poses = POSES["planar"]
+    put("stream_columns", 3, api.StreamPosesRequest(
+        batch=api.PoseBatch(columns=columns_of(poses))), kind)
     put("stream_batch", 3, api.StreamPosesRequest(
         batch=api.PoseBatch(poses=poses)), kind)
     put("stream_open", 3, api.StreamPosesRequest(open=api.StreamPosesOpen(

@@ -36,11 +36,11 @@ std::optional<Message> Parse(const Input& input) {
   return message;
 }
 
-void CheckBatch(const server::Poses& poses, const VehicleConfig& config) {
+void CheckBatch(const server::SentPoses& poses, const VehicleConfig& config) {
   const auto batch = server::DecodeBatch(poses, kMostPoses, config, kRequest);
   RequireGoodError(batch.status());
   if (!batch.ok()) return;
-  const auto count = static_cast<std::size_t>(poses.size());
+  const auto count = static_cast<std::size_t>(poses.count());
   Require(batch->samples.size() == count, "a sample for each pose");
   Require(batch->fingerprints.size() == count, "a fingerprint for each pose");
   VehicleConfig stored_config = config;
@@ -177,14 +177,14 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data,
     case 2:
       if (const auto m = Parse<v1::AppendPosesRequest>(input)) {
         CheckName(m->vehicle());
-        CheckBatch(m->poses(), config);
+        CheckBatch(server::SentPosesOf(*m), config);
       }
       break;
     case 3:
       if (const auto m = Parse<v1::StreamPosesRequest>(input)) {
         CheckName(m->open().vehicle());
         CheckOptions(m->open().candidate_options(), config);
-        CheckBatch(m->batch().poses(), config);
+        CheckBatch(server::SentPosesOf(m->batch()), config);
       }
       break;
     case 4:

@@ -42,8 +42,8 @@ class Messages:
                     setattr(self, symbol, getattr(module, symbol))
 
 
-api = Messages("geometry", "vehicle", "recording", "candidate", "check",
-               "loop_closure", "group",
+api = Messages("geometry", "pose_columns", "vehicle", "recording", "candidate",
+               "check", "loop_closure", "group",
                "error_reason", "pose_graph_service")
 PoseGraphServiceStub = importlib.import_module(
     "revisit.v1.pose_graph_service_pb2_grpc").PoseGraphServiceStub

@@ -67,6 +67,39 @@ def batches(poses, size=64):
     return [poses[i:i + size] for i in range(0, len(poses), size)]
 
 
+def columns_of(poses):
+    """The poses as PoseColumns, which are alike in what they have."""
+    first = poses[0]
+    columns = api.PoseColumns(
+        first_sequence=first.sequence, pose_count=len(poses),
+        covariance_form=first.covariance.form,
+        covariances=[value for each in poses for value in each.covariance.values],
+        error_transitions=[value for each in poses
+                           for value in each.error_transition])
+    if first.HasField("stamp"):
+        columns.first_stamp.CopyFrom(first.stamp)
+        stamps = [each.stamp.ToNanoseconds() for each in poses]
+        columns.stamp_step_nanos.extend(
+            after - before for before, after in zip(stamps, stamps[1:]))
+    if first.HasField("recording_start"):
+        columns.recording_start.CopyFrom(first.recording_start)
+    for each in poses:
+        if each.HasField("geodetic"):
+            columns.latitude_degrees.append(each.geodetic.latitude_degrees)
+            columns.longitude_degrees.append(each.geodetic.longitude_degrees)
+            columns.height_meters.append(each.geodetic.height_meters)
+        else:
+            columns.x_meters.append(each.local.x_meters)
+            columns.y_meters.append(each.local.y_meters)
+            columns.z_meters.append(each.local.z_meters)
+        if each.HasField("quaternion"):
+            turn = each.quaternion
+            columns.quaternions.extend([turn.x, turn.y, turn.z, turn.w])
+        else:
+            columns.heading_radians.append(each.heading_radians)
+    return columns
+
+
 def append(stub, vehicle, poses, **call):
     return stub.AppendPoses(
         api.AppendPosesRequest(vehicle=vehicle, poses=poses), **call).ack

@@ -89,7 +89,8 @@ Poses PosesOf(const std::vector<v1::Pose>& poses) {
 
 absl::StatusOr<DecodedBatch> DecodeAll(const std::vector<v1::Pose>& poses,
                                        const VehicleConfig& config) {
-  return DecodeBatch(PosesOf(poses), kMaxPoses, config, FieldPath());
+  const Poses sent = PosesOf(poses);
+  return DecodeBatch({&sent, nullptr}, kMaxPoses, config, FieldPath());
 }
 
 absl::StatusOr<core::PoseSample> DecodeOne(const v1::Pose& pose,

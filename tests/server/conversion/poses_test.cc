@@ -175,7 +175,7 @@ TEST(PoseConversionTest, NamesFieldsBelowThePathItIsGiven) {
   Poses poses;
   *poses.Add() = PlanarPose(0, 0);
   EXPECT_THAT(
-      DecodeBatch(poses, 1, Planar(), FieldPath().Field("batch")),
+      DecodeBatch({&poses, nullptr}, 1, Planar(), FieldPath().Field("batch")),
       IsError(StatusCode::kInvalidArgument, "INVALID_FIELD",
               StartsWith("batch.poses[0].sequence: got 0; allowed is [1, ")));
 }

@@ -110,7 +110,7 @@ std::string DatumAt(double x) {
   RecordingStartFields fields;
   fields.label = &empty;
   fields.relation = RecordingStartFields::Relation::kDatum;
-  fields.covariance = CovarianceFields{CovarianceForm::kPlanar6, &values};
+  fields.covariance = CovarianceFields{CovarianceForm::kPlanar6, values};
   fields.datum_id = &empty;
   fields.datum_pose = {x, 0.0, 0.0, 0.0};
   return EncodeMemberContent(&fields);

@@ -28,7 +28,7 @@ std::string DatumAt(double x) {
   RecordingStartFields fields;
   fields.label = &empty;
   fields.relation = RecordingStartFields::Relation::kDatum;
-  fields.covariance = CovarianceFields{CovarianceForm::kPlanar6, &values};
+  fields.covariance = CovarianceFields{CovarianceForm::kPlanar6, values};
   fields.datum_id = &empty;
   fields.datum_pose = {x, 0.0, 0.0, 0.0};
   return EncodeMemberContent(&fields);
@@ -212,7 +212,7 @@ TEST_F(JoinGroupTest, MeasurementsAreOfThePosesThemselves) {
   LinkContent content;
   MeasurementFields& measurement = content.content.measurement.emplace();
   measurement.x_meters = 1.0;
-  measurement.covariance = CovarianceFields{CovarianceForm::kPlanar6, &values};
+  measurement.covariance = CovarianceFields{CovarianceForm::kPlanar6, values};
   Link(1, 2, 50, EncodeLinkContent(content));
   // Poses that cannot be read say nothing.
   EXPECT_EQ(TieTo(1).state, FrameState::kNone);

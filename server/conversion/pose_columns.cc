@@ -1,0 +1,303 @@
+#include "server/conversion/pose_columns.h"
+
+#include <algorithm>
+#include <memory>
+
+#include "absl/strings/numbers.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/string_view.h"
+#include "absl/strings/strip.h"
+#include "absl/types/span.h"
+#include "server/fields/timestamps.h"
+
+namespace revisit::server {
+namespace {
+
+using absl::StrCat;
+
+// The size of the matrix whose upper triangle, or all of which, a form has.
+std::size_t SizeOf(CovarianceForm form) {
+  switch (form) {
+    case CovarianceForm::kPlanar6:
+      return 3;
+    case CovarianceForm::kSpatial10:
+      return 4;
+    case CovarianceForm::kRos36:
+      return 6;
+  }
+  return 0;
+}
+
+std::size_t ValuesOf(CovarianceForm form) {
+  const std::size_t size = SizeOf(form);
+  return form == CovarianceForm::kRos36 ? size * size : size * (size + 1) / 2;
+}
+
+// Where the variance of a coordinate is among the values.
+std::size_t DiagonalIndex(CovarianceForm form, std::size_t coordinate) {
+  const std::size_t size = SizeOf(form);
+  if (form == CovarianceForm::kRos36) return coordinate * (size + 1);
+  // Row r of the upper triangle has size - r values.
+  return coordinate == 0
+             ? 0
+             : coordinate * size - coordinate * (coordinate - 1) / 2;
+}
+
+constexpr char kColumnSize[] = "COLUMN_SIZE";
+// Numbers of a transition of the two state spaces.
+constexpr std::size_t kTransitionSizes[] = {9, 16};
+
+std::string Element(const char* column, std::size_t index) {
+  return StrCat(column, "[", index, "]");
+}
+
+// The index behind a name such as "covariance.values[4]"; nothing without one.
+bool TakeIndex(absl::string_view text, absl::string_view name,
+               std::size_t* index) {
+  return absl::ConsumePrefix(&text, name) && absl::ConsumePrefix(&text, "[") &&
+         absl::ConsumeSuffix(&text, "]") && absl::SimpleAtoi(text, index);
+}
+
+}  // namespace
+
+PoseColumns::PoseColumns(const v1::PoseColumns& message, const FieldPath& path,
+                         Violations* violations)
+    : message_(message),
+      form_(static_cast<CovarianceForm>(message.covariance_form())),
+      values_(ValuesOf(form_)),
+      diagonal_(SizeOf(form_)) {
+  const std::size_t before = violations->count();
+  CheckChoices(path, violations);
+  CheckLengths(path, violations);
+  ReadTransitions(path, violations);
+  if (violations->count() == before) ReadStamps(path, violations);
+}
+
+void PoseColumns::CheckChoices(const FieldPath& path,
+                               Violations* violations) const {
+  const auto one_of = [&](const char* first, bool has_first, const char* second,
+                          bool has_second) {
+    if (has_first == has_second) {
+      violations->Add(kInvalidField, path.Field(first),
+                      StrCat(has_first ? "got both this and `"
+                                       : "required: either this or `",
+                             second, has_first ? "`; allowed is one" : "`"));
+    }
+  };
+  one_of("x_meters", !message_.x_meters().empty(), "latitude_degrees",
+         !message_.latitude_degrees().empty());
+  one_of("heading_radians", !message_.heading_radians().empty(), "quaternions",
+         !message_.quaternions().empty());
+  one_of("covariances", !message_.covariances().empty(), "covariance_diagonals",
+         !message_.covariance_diagonals().empty());
+}
+
+void PoseColumns::CheckPerPose(int given, std::size_t per_pose, bool may_be_one,
+                               const FieldPath& path,
+                               Violations* violations) const {
+  const auto count = static_cast<std::size_t>(given);
+  if (count == per_pose * size() || (may_be_one && count == per_pose)) return;
+  violations->Add(
+      kColumnSize, path,
+      StrCat("got ", given, " numbers; ", size(), " poses have ",
+             per_pose * size(),
+             may_be_one ? StrCat(", or ", per_pose, " that all have") : ""));
+}
+
+void PoseColumns::CheckLengths(const FieldPath& path,
+                               Violations* violations) const {
+  const auto check = [&](const char* name, int given, std::size_t per_pose,
+                         bool may_be_one = false) {
+    if (given > 0) {
+      CheckPerPose(given, per_pose, may_be_one, path.Field(name), violations);
+    }
+  };
+  // Those that must be there where another one is.
+  const auto check_beside = [&](const char* name, int given, int other) {
+    if (other > 0 || given > 0) {
+      CheckPerPose(given, 1, false, path.Field(name), violations);
+    }
+  };
+  check_beside("x_meters", message_.x_meters_size(), message_.y_meters_size());
+  check_beside("y_meters", message_.y_meters_size(), message_.x_meters_size());
+  check("z_meters", message_.z_meters_size(), 1);
+  check_beside("latitude_degrees", message_.latitude_degrees_size(),
+               message_.longitude_degrees_size());
+  check_beside("longitude_degrees", message_.longitude_degrees_size(),
+               message_.latitude_degrees_size());
+  check("height_meters", message_.height_meters_size(), 1);
+  check("heading_radians", message_.heading_radians_size(), 1);
+  check("quaternions", message_.quaternions_size(), 4);
+  if (values_ == 0) {
+    violations->Add(kInvalidField, path.Field("covariance_form"),
+                    StrCat("got ", static_cast<int>(form_),
+                           "; required is PLANAR_6, SPATIAL_10 or ROS_36"));
+  } else {
+    check("covariances", message_.covariances_size(), values_, true);
+    check("covariance_diagonals", message_.covariance_diagonals_size(),
+          diagonal_, true);
+  }
+}
+
+void PoseColumns::ReadTransitions(const FieldPath& path,
+                                  Violations* violations) {
+  const auto given =
+      static_cast<std::size_t>(message_.error_transitions_size());
+  if (given == 0) return;
+  for (const std::size_t numbers : kTransitionSizes) {
+    first_has_none_ = given == numbers * (size() - 1);
+    if (!first_has_none_ && given != numbers * size()) continue;
+    transition_ = numbers;
+    return;
+  }
+  violations->Add(
+      kColumnSize, path.Field("error_transitions"),
+      StrCat("got ", given, " numbers; ", size(), " poses have ", 9 * size(),
+             " in the state space PLANAR and ", 16 * size(),
+             " in SPATIAL, or those of one pose less"));
+}
+
+void PoseColumns::ReadStamps(const FieldPath& path, Violations* violations) {
+  const FieldPath steps = path.Field("stamp_step_nanos");
+  const int given = message_.stamp_step_nanos_size();
+  if (!message_.has_first_stamp()) {
+    if (given > 0) {
+      violations->Add(kColumnSize, steps,
+                      StrCat("got ", given,
+                             " numbers; without `first_stamp` there are none"));
+    }
+    return;
+  }
+  if (given != message_.pose_count() - 1) {
+    violations->Add(kColumnSize, steps,
+                    StrCat("got ", given, " numbers; ", size(),
+                           " poses with stamps have ", size() - 1));
+    return;
+  }
+  if (!CheckTimestamp(message_.first_stamp(), path.Field("first_stamp"),
+                      violations)) {
+    return;
+  }
+  stamps_ns_.reserve(size());
+  stamps_ns_.push_back(ToNanoseconds(message_.first_stamp()));
+  for (const std::int64_t step : message_.stamp_step_nanos()) {
+    std::int64_t next = 0;
+    if (__builtin_add_overflow(stamps_ns_.back(), step, &next)) {
+      violations->Add(kInvalidField,
+                      path.At("stamp_step_nanos", stamps_ns_.size() - 1),
+                      StrCat("got ", step,
+                             ", to a stamp outside of the years 1678 to 2261"));
+      return;
+    }
+    stamps_ns_.push_back(next);
+  }
+}
+
+CovarianceFields PoseColumns::CovarianceAt(std::size_t index) {
+  if (!message_.covariances().empty()) {
+    const absl::Span<const double> all = message_.covariances();
+    return {form_,
+            all.subspan(all.size() == values_ ? 0 : index * values_, values_)};
+  }
+  absl::Span<const double> variances = message_.covariance_diagonals();
+  if (variances.size() != diagonal_) {
+    variances = variances.subspan(index * diagonal_, diagonal_);
+  }
+  for (std::size_t k = 0; k < diagonal_; ++k) {
+    covariance_[DiagonalIndex(form_, k)] = variances[k];
+  }
+  return {form_, absl::MakeConstSpan(covariance_.data(), values_)};
+}
+
+PoseFields PoseColumns::At(std::size_t index) {
+  const auto i = static_cast<int>(index);
+  PoseFields fields;
+  fields.sequence = message_.first_sequence() + index;
+  if (!stamps_ns_.empty()) {
+    EncodeTime(stamps_ns_[index], &stamp_);
+    fields.stamp = &stamp_;
+  }
+  if (!message_.x_meters().empty()) {
+    fields.position_kind = PoseFields::Position::kLocal;
+    fields.position = {
+        message_.x_meters(i), message_.y_meters(i),
+        message_.z_meters().empty() ? 0.0 : message_.z_meters(i)};
+  } else {
+    fields.position_kind = PoseFields::Position::kGeodetic;
+    fields.position = {
+        message_.latitude_degrees(i), message_.longitude_degrees(i),
+        message_.height_meters().empty() ? 0.0 : message_.height_meters(i)};
+  }
+  if (!message_.quaternions().empty()) {
+    fields.orientation_kind = PoseFields::Orientation::kQuaternion;
+    std::copy_n(message_.quaternions().data() + 4 * i, 4,
+                fields.orientation.begin());
+  } else {
+    fields.orientation_kind = PoseFields::Orientation::kHeading;
+    fields.orientation[0] = message_.heading_radians(i);
+  }
+  fields.covariance = CovarianceAt(index);
+  if (transition_ > 0 && !(first_has_none_ && index == 0)) {
+    const absl::Span<const double> all = message_.error_transitions();
+    fields.error_transition = all.subspan(
+        (first_has_none_ ? index - 1 : index) * transition_, transition_);
+  }
+  if (index == 0 && message_.has_recording_start()) {
+    fields.recording_start = std::make_shared<const RecordingStartFields>(
+        RecordingStartFieldsOf(message_.recording_start()));
+  }
+  return fields;
+}
+
+std::string PoseColumns::ColumnOf(std::size_t index,
+                                  const std::string& field) const {
+  absl::string_view name = field;
+  if (absl::ConsumePrefix(&name, "stamp")) {
+    return index == 0 ? StrCat("first_stamp", name)
+                      : Element("stamp_step_nanos", index - 1);
+  }
+  if (name == "sequence") return "first_sequence";
+  // Of the wrong kind for the vehicle, as all of them are.
+  if (name == "local") return "x_meters";
+  if (name == "geodetic") return "latitude_degrees";
+  if (absl::ConsumePrefix(&name, "local.") ||
+      absl::ConsumePrefix(&name, "geodetic.") || name == "heading_radians") {
+    return StrCat(name, "[", index, "]");
+  }
+  if (name == "orientation") {
+    return message_.quaternions().empty() ? Element("heading_radians", index)
+                                          : Element("quaternions", 4 * index);
+  }
+  if (absl::ConsumePrefix(&name, "quaternion")) {
+    const std::size_t part =
+        absl::string_view("xyzw").find(name.empty() ? 'x' : name.back());
+    return Element("quaternions", 4 * index + part);
+  }
+  std::size_t number = 0;
+  if (TakeIndex(name, "error_transition", &number)) {
+    const std::size_t pose = first_has_none_ ? index - 1 : index;
+    return Element("error_transitions", pose * transition_ + number);
+  }
+  if (name == "error_transition") return "error_transitions";
+  if (name == "covariance.form") return "covariance_form";
+  if (absl::ConsumePrefix(&name, "covariance.")) {
+    TakeIndex(name, "values", &number);
+    if (!message_.covariances().empty()) {
+      const auto all = static_cast<std::size_t>(message_.covariances_size());
+      return Element("covariances",
+                     (all == values_ ? 0 : index * values_) + number);
+    }
+    const auto all =
+        static_cast<std::size_t>(message_.covariance_diagonals_size());
+    std::size_t coordinate = 0;
+    while (coordinate + 1 < diagonal_ &&
+           DiagonalIndex(form_, coordinate) < number) {
+      ++coordinate;
+    }
+    return Element("covariance_diagonals",
+                   (all == diagonal_ ? 0 : index * diagonal_) + coordinate);
+  }
+  return field;
+}
+
+}  // namespace revisit::server
