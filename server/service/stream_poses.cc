@@ -26,7 +26,9 @@
 #include "server/conversion/poses.h"
 #include "server/conversion/vehicle_settings.h"
 #include "server/fields/field_violations.h"
+#include "server/fleet/stream_checks.h"
 #include "server/service/answer_queue.h"
+#include "server/service/group_search.h"
 #include "server/service/streaming_call.h"
 #include "server/sessions/fleet.h"
 #include "server/sessions/vehicle_session.h"
@@ -37,6 +39,9 @@ namespace {
 
 using Request = v1::StreamPosesRequest;
 using Response = v1::StreamPosesResponse;
+
+constexpr FieldPath kOpenPath = FieldPath().Field("open");
+constexpr FieldPath kOptionsPath = kOpenPath.Field("candidate_options");
 
 // Memory that an idle stream keeps for its next message. A batch takes more, in
 // blocks of up to the second size, and gives them back when it is staged: most
@@ -84,14 +89,20 @@ absl::Status OldAge() {
 // cut off at max_unread_bytes: candidates, unlike acknowledgements, are not
 // bounded by the batches in flight.
 //
+// Checks in a group are no part of that way: StreamChecks makes them beside it,
+// in their order.
+//
 // Ending: whatever ends the stream (half-close, failure, age, drain), batches
 // that the session has taken run to their end and their answers are written
-// first. Only a stream whose caller is gone skips that, and one whose store is
-// out of reach: what was acknowledged by then is written, and what becomes of
-// the rest its client learns from whoever has the vehicle when it resumes.
+// first. Only checks in a group that fail, or whose caller has lost a right,
+// leave those behind them without an answer. Only a stream whose caller is gone
+// skips that, and one whose store is out of reach: what was acknowledged by
+// then is written, and what becomes of the rest its client learns from whoever
+// has the vehicle when it resumes.
 //
 // The stream does not end while a thread is starting an operation.
-class PoseStream final : public BidiCall<PoseStream> {
+class PoseStream final : public BidiCall<PoseStream>,
+                         public StreamChecks::Observer {
  public:
   PoseStream(grpc::CallbackServerContext* call, const ServiceContext& context)
       : BidiCall<PoseStream>(call, "StreamPoses", context),
@@ -135,6 +146,10 @@ class PoseStream final : public BidiCall<PoseStream> {
       stream_->OnDurable(result, bytes_, warnings_);
     }
 
+    void OnChecksDue(const std::vector<std::uint64_t>& sequences) override {
+      if (stream_->group_checks_) stream_->group_checks_->Add(sequences);
+    }
+
     bool ShouldStop() const override {
       return stream_->given_up() || stream_->is_left_;
     }
@@ -142,7 +157,7 @@ class PoseStream final : public BidiCall<PoseStream> {
     void OnCandidates(const VehicleView& view,
                       const absl::StatusOr<core::CandidateSet>& set,
                       std::chrono::nanoseconds duration) override {
-      stream_->OnCandidates(view, set, duration);
+      stream_->OnCandidates(view, set, duration, nullptr);
     }
 
     void OnOver() override { stream_->OnAppendOver(); }
@@ -201,6 +216,11 @@ class PoseStream final : public BidiCall<PoseStream> {
 
   void OnGivenUp() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) override { Advance(); }
 
+  void OnEnd(const absl::Status&)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) override {
+    GiveUpGroupChecks();
+  }
+
   // Ends the stream after the last acknowledgement, or without it. The client
   // resends batches that the session has not taken, or that it does not find
   // stored.
@@ -220,7 +240,12 @@ class PoseStream final : public BidiCall<PoseStream> {
   void OnRightsLost(const absl::Status& reason)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) override {
     SetFailure(reason);
+    GiveUpGroupChecks();
     Advance();
+  }
+
+  void OnRightsKept() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) override {
+    if (group_checks_) group_checks_->SetMayRead(WhatMayBeRead(*this));
   }
 
   // Takes the first message. If this is not OK, or the session finds nothing of
@@ -237,6 +262,12 @@ class PoseStream final : public BidiCall<PoseStream> {
       const absl::Status allowed = rights().AlsoNeeds(Verb::kRead);
       if (!allowed.ok()) return allowed;
     }
+    absl::StatusOr<ScopeRequest> scope = ScopeRequest();
+    if (open.candidate_options().has_scope()) {
+      scope = DecodeScope(open.candidate_options().scope(), *id,
+                          kOptionsPath.Field("scope"), this);
+    }
+    if (!scope.ok()) return scope.status();
     checks_ = std::make_shared<const CheckOrder>(CheckOrder{
         searches().check_flow(), CheckOptions(open.candidate_options())});
     send_candidates_ = open.send_candidates();
@@ -246,6 +277,13 @@ class PoseStream final : public BidiCall<PoseStream> {
     {
       const MutexLock lock(&mutex_);
       session_ = session;
+      if (send_candidates_ && open.candidate_options().has_scope()) {
+        group_checks_ = std::make_shared<StreamChecks>(
+            session, context_.group_searches, checks_, *std::move(scope),
+            weak_from_this());
+        // Rights that have changed before this did not reach it.
+        OnRightsKept();
+      }
     }
     session->CheckAcknowledged(
         open.acked_sequence(), open.vehicle_uid(),
@@ -258,17 +296,16 @@ class PoseStream final : public BidiCall<PoseStream> {
   // The id of the vehicle that the message names.
   static absl::StatusOr<std::string> CheckOpen(
       const v1::StreamPosesOpen& open) {
-    const FieldPath path = FieldPath().Field("open");
     absl::StatusOr<std::string> id =
-        ParseVehicleName(open.vehicle(), path.Field("vehicle"));
+        ParseVehicleName(open.vehicle(), kOpenPath.Field("vehicle"));
     if (!id.ok()) return id;
     if (open.acked_sequence() > kMaxSequence) {
-      return InvalidField("INVALID_FIELD", path.Field("acked_sequence"),
+      return InvalidField("INVALID_FIELD", kOpenPath.Field("acked_sequence"),
                           "got " + std::to_string(open.acked_sequence()) +
                               "; allowed is [0, 9223372036854775807]");
     }
     if (absl::Status status =
-            CheckUid(open.vehicle_uid(), path.Field("vehicle_uid"));
+            CheckUid(open.vehicle_uid(), kOpenPath.Field("vehicle_uid"));
         !status.ok()) {
       return status;
     }
@@ -278,16 +315,8 @@ class PoseStream final : public BidiCall<PoseStream> {
   SearchOptionsDecoder CheckOptions(const v1::CandidateOptions& given) const {
     return [given, max_steps = context_.limits.max_search_steps](
                const VehicleConfig& config) {
-      const FieldPath open = FieldPath().Field("open");
-      const FieldPath path = open.Field("candidate_options");
-      if (given.has_scope()) {
-        return absl::StatusOr<core::SearchOptions>(
-            InvalidField("INVALID_FIELD", path.Field("scope"),
-                         "got one; checks of a stream look in the vehicle's "
-                         "own history only"));
-      }
       absl::StatusOr<core::SearchOptions> options =
-          DecodeCandidateOptions(given, config, path);
+          DecodeCandidateOptions(given, config, kOptionsPath);
       if (options.ok()) options->max_comparisons = max_steps;
       return options;
     };
@@ -310,6 +339,21 @@ class PoseStream final : public BidiCall<PoseStream> {
     opened->set_max_batch_poses(context_.limits.max_batch_poses);
     opened->set_vehicle_uid(view->config.uid);
     opened->set_takes_pose_columns(true);
+    if (group_checks_ == nullptr) {
+      SendOpened(std::move(response));
+      return;
+    }
+    group_checks_->Open([self = shared_from_this(),
+                         opening = *response](const absl::Status& status) {
+      if (!status.ok()) {
+        self->Fail(status);
+      } else {
+        self->SendOpened(std::make_unique<Response>(opening));
+      }
+    });
+  }
+
+  void SendOpened(std::unique_ptr<Response> response) {
     const MutexLock lock(&mutex_);
     handling_ = false;
     queue_.Add(std::move(response));
@@ -343,7 +387,7 @@ class PoseStream final : public BidiCall<PoseStream> {
     }
     AppendRequest append;
     append.decode = DecoderOf(sent, context_.limits.max_batch_poses, "batch");
-    if (send_candidates_) append.checks = checks_;
+    if (send_candidates_ && !group_checks_) append.checks = checks_;
     session->Append(std::move(append),
                     std::make_shared<Batch>(shared_from_this(), poses, bytes,
                                             *std::move(permit)));
@@ -379,9 +423,27 @@ class PoseStream final : public BidiCall<PoseStream> {
     Advance();
   }
 
+  void OnFound(const VehicleView& view, core::CandidateSet set,
+               std::chrono::nanoseconds duration,
+               const GroupScope& scope) override {
+    OnCandidates(view, std::move(set), duration, &scope);
+  }
+
+  void OnIdle(const absl::Status& status) override {
+    const MutexLock lock(&mutex_);
+    SetFailure(status);
+    Advance();
+  }
+
+  void GiveUpGroupChecks() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
+    if (group_checks_) group_checks_->GiveUp();
+  }
+
+  // `scope`: null for the vehicle's own history alone.
   void OnCandidates(const VehicleView& view,
                     const absl::StatusOr<core::CandidateSet>& set,
-                    std::chrono::nanoseconds duration) {
+                    std::chrono::nanoseconds duration,
+                    const GroupScope* scope) {
     record().Searched(set, duration);
     // Searches stop when the caller is gone, and then nobody waits for them.
     if (given_up()) return;
@@ -389,7 +451,7 @@ class PoseStream final : public BidiCall<PoseStream> {
     std::int64_t bytes = 0;
     if (set.ok()) {
       EncodeCandidateSet(view, *set, include_aligned_path_, duration,
-                         response->mutable_candidates());
+                         response->mutable_candidates(), scope);
       bytes = static_cast<std::int64_t>(response->SpaceUsedLong());
     }
     const MutexLock lock(&mutex_);
@@ -418,6 +480,7 @@ class PoseStream final : public BidiCall<PoseStream> {
             " bytes wait; poses are durable up to sequence " + durable,
         {{"durable_sequence", durable}, {"limit", std::to_string(limit)}}));
     queue_.DropCandidates();
+    GiveUpGroupChecks();
     const std::chrono::milliseconds grace(static_cast<std::int64_t>(
         context_.limits.slow_consumer_seconds * 1000.0));
     cut_ = AlarmAfter(grace, &PoseStream::Cut);
@@ -515,7 +578,9 @@ class PoseStream final : public BidiCall<PoseStream> {
   }
 
   bool MayFinish() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
-    const bool answered = queue_.empty() && open_appends_ == 0 && !handling_;
+    const bool checked = group_checks_ == nullptr || group_checks_->idle();
+    const bool answered =
+        queue_.empty() && open_appends_ == 0 && checked && !handling_;
     return !writing_ && starting_ == 0 &&
            (answered || given_up() || (is_left_ && queue_.empty()));
   }
@@ -537,10 +602,13 @@ class PoseStream final : public BidiCall<PoseStream> {
   // Whether the stream ends without the answers to what is under way.
   std::atomic<bool> is_left_{false};
 
-  // Written by Open() only, before the session hears of the stream.
+  // Written by Open() only, with the mutex where others may ask for it before
+  // the session hears of the stream.
   std::shared_ptr<const CheckOrder> checks_;
   bool send_candidates_ = false;
   bool include_aligned_path_ = false;
+  // Null unless checks are sent that search in a group.
+  std::shared_ptr<StreamChecks> group_checks_;
 
   // Belong to gRPC while `reading_`, to the session while `handling_`.
   const std::unique_ptr<char[]> request_block_;

@@ -45,7 +45,7 @@ struct AppendRequest {
   BatchDecoder decode;
   // The uid of the vehicle that is meant; empty: whichever has the name.
   std::string vehicle_uid;
-  // Null if nobody wants the checks. Many batches may share an order.
+  // Null if the session makes none of them. Many batches may share an order.
   std::shared_ptr<const CheckOrder> checks;
 };
 
@@ -73,10 +73,10 @@ struct Acknowledgement {
 
 // Hears what becomes of one batch. The session calls, in this order and one at
 // a time per vehicle: OnDecoded() at most once, OnStaged() once, OnDurable()
-// once, OnCandidates() once for each check that fell due, OnOver() once.
-// OnDurable() comes in the order of the vehicle's appends, success or failure;
-// only an append that is refused with QUEUE_FULL is answered ahead of those
-// before it.
+// once, OnChecksDue() at most once, OnCandidates() once for each check that
+// fell due if the session makes them, OnOver() once. OnDurable() comes in the
+// order of the vehicle's appends, success or failure; only an append that is
+// refused with QUEUE_FULL is answered ahead of those before it.
 class AppendObserver {
  public:
   virtual ~AppendObserver() = default;
@@ -95,6 +95,11 @@ class AppendObserver {
 
   // The batch is durable and applied, or the reason why not.
   virtual void OnDurable(const absl::StatusOr<Acknowledgement>& result) = 0;
+
+  // Checks fell due at these poses, of which there is one at least: in order,
+  // and one more than once where several did. Whoever wants them may make them,
+  // at the last node at or before the pose, once this has returned.
+  virtual void OnChecksDue(const std::vector<std::uint64_t>& /*sequences*/) {}
 
   // Gives up the checks; a batch that was staged is not given up.
   virtual bool ShouldStop() const { return false; }

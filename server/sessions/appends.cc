@@ -10,6 +10,7 @@
 #include "core/geometry/recording_start.h"
 #include "core/settings.h"
 #include "server/base/sequences.h"
+#include "server/sessions/check_changes.h"
 #include "server/sessions/search_turns.h"
 #include "server/sessions/server_clock.h"
 #include "server/storage/storage.h"
@@ -356,6 +357,7 @@ void Appends::Land(const PendingPtr& append) {
   }
   std::vector<core::NodeIndex> due = Apply(append.get());
   Answer(*append, absl::OkStatus());
+  if (!due.empty()) append->observer->OnChecksDue(PosesOf(due));
   if (due.empty() || append->request.checks == nullptr) {
     append->observer->OnOver();
   } else {
@@ -392,6 +394,15 @@ std::vector<core::NodeIndex> Appends::Apply(Pending* append) {
   checks_->Consider();
   dropper_->Consider();
   return std::move(applied.checks_due);
+}
+
+std::vector<std::uint64_t> Appends::PosesOf(
+    const std::vector<core::NodeIndex>& nodes) const {
+  std::vector<std::uint64_t> sequences;
+  for (const core::NodeIndex node : nodes) {
+    sequences.push_back(PoseOf(vehicle_->loaded->graph(), node));
+  }
+  return sequences;
 }
 
 std::optional<StampAhead> Appends::FindAhead(

@@ -85,6 +85,9 @@ class Appends {
   void Land(const PendingPtr& append);
   absl::Status ResultOf(const Pending& append);
   std::vector<core::NodeIndex> Apply(Pending* append);
+  // The poses with which nodes came.
+  std::vector<std::uint64_t> PosesOf(
+      const std::vector<core::NodeIndex>& nodes) const;
   // The first stamp that is too far ahead, unless those of the last batch with
   // stamps were too.
   std::optional<StampAhead> FindAhead(

@@ -16,10 +16,7 @@ void CheckSearch::Restart() {
   scope_.reset();
 }
 
-void CheckSearch::RestartTurns() {
-  turns_ = SearchTurns();
-  gave_way_ = 0;
-}
+void CheckSearch::RestartTurns() { turns_ = CheckTurns(); }
 
 std::string CheckSearch::Group() const {
   return policy_.scopes == nullptr ? std::string()
@@ -62,23 +59,9 @@ void CheckSearch::Prepare(const std::string& group, std::function<void()> turn,
 std::optional<core::CandidateSet> CheckSearch::TakeTurn(core::NodeIndex node) {
   core::SearchOptions options = vehicle_->head.config().drive.search;
   options.max_comparisons = policy_.max_steps;
-  const bool gives_way = gave_way_ < kMostGivenWay;
-  auto answer = turns_.Take(
-      vehicle_->View(), node, options,
-      [&] { return gives_way && queue_->IsWanted(); },
-      scope_ == nullptr ? nullptr : &scope_->search);
-  if (!answer) {
-    gave_way_ = 0;
-    return std::nullopt;
-  }
-  if (!answer->ok()) {
-    // It gave way, or has searched as many marks as one search may: the next
-    // one goes on behind them.
-    ++gave_way_;
-    turns_ = SearchTurns();
-    return std::nullopt;
-  }
-  return **std::move(answer);
+  return turns_.Take(vehicle_->View(), node, options,
+                     scope_ == nullptr ? nullptr : &scope_->search,
+                     [this] { return queue_->IsWanted(); });
 }
 
 }  // namespace revisit::server

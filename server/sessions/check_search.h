@@ -63,7 +63,7 @@ class CheckSearch {
   // The scope of the search that found; null for the vehicle's own history
   // alone.
   const CheckScopePtr& scope() const { return scope_; }
-  SearchTurns::Clock::duration duration() const { return turns_.all_turns(); }
+  SearchTurns::Clock::duration duration() const { return turns_.duration(); }
 
  private:
   using Clock = std::chrono::steady_clock;
@@ -77,8 +77,7 @@ class CheckSearch {
   VehicleQueue* const queue_;
   const Policy policy_;
 
-  SearchTurns turns_;
-  int gave_way_ = 0;
+  CheckTurns turns_;
   // The group whose scope is ready; nothing if none is. Empty for none.
   std::optional<std::string> ready_for_;
   CheckScopePtr scope_;

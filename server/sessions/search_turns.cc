@@ -47,4 +47,29 @@ std::optional<absl::StatusOr<core::CandidateSet>> SearchTurns::Work(
   return found;
 }
 
+std::optional<core::CandidateSet> CheckTurns::Take(
+    const VehicleView& view, core::NodeIndex query,
+    const core::SearchOptions& options, const core::SearchScope* scope,
+    const core::ShouldStop& is_wanted, const core::ShouldStop& should_stop) {
+  const bool gives_way = gave_way_ < kMostGivenWay;
+  auto answer = turns_.Take(
+      view, query, options,
+      [&] {
+        return (gives_way && is_wanted()) || (should_stop && should_stop());
+      },
+      scope);
+  if (!answer) {
+    gave_way_ = 0;
+    return std::nullopt;
+  }
+  if (!answer->ok()) {
+    // It has searched as many marks as one search may, unless it was stopped:
+    // the next one goes on behind them.
+    ++gave_way_;
+    turns_ = SearchTurns();
+    return std::nullopt;
+  }
+  return **std::move(answer);
+}
+
 }  // namespace revisit::server

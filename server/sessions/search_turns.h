@@ -20,11 +20,6 @@
 
 namespace revisit::server {
 
-// How often a turn of a stored check gives way to other work of its vehicle.
-// After that it holds that work up by itself once, as the checks of a stream
-// do.
-inline constexpr int kMostGivenWay = 3;
-
 class SearchTurns {
  public:
   using Clock = std::chrono::steady_clock;
@@ -68,6 +63,31 @@ class SearchTurns {
   std::int64_t last_steps_ = 0;
   Clock::duration last_turn_{};
   Clock::duration all_turns_{};
+};
+
+// The search of a check for which nothing else of the vehicle is to wait.
+class CheckTurns {
+ public:
+  // How often a turn gives way to other work of its vehicle. After that it
+  // holds that work up by itself once, as the checks of a stream do in the
+  // vehicle's own history.
+  static constexpr int kMostGivenWay = 3;
+
+  // Takes a turn. Nothing if the search needs another one: it has given way, or
+  // was told to stop, or marks are missing. `is_wanted`: whether other work
+  // waits for this turn. REQUIRES: as for SearchTurns::Take().
+  std::optional<core::CandidateSet> Take(
+      const VehicleView& view, core::NodeIndex query,
+      const core::SearchOptions& options, const core::SearchScope* scope,
+      const core::ShouldStop& is_wanted,
+      const core::ShouldStop& should_stop = nullptr);
+
+  // See SearchTurns::all_turns(); of the search that found.
+  SearchTurns::Clock::duration duration() const { return turns_.all_turns(); }
+
+ private:
+  SearchTurns turns_;
+  int gave_way_ = 0;
 };
 
 }  // namespace revisit::server

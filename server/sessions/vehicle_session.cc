@@ -181,6 +181,8 @@ void VehicleSession::Search(std::string flow, SearchCallback callback) {
        std::move(flow)});
 }
 
+bool VehicleSession::is_wanted() const { return state_->queue.IsWanted(); }
+
 void VehicleSession::Append(AppendRequest request,
                             std::shared_ptr<AppendObserver> observer) {
   state_->appends.Submit(std::move(request), std::move(observer));

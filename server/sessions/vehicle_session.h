@@ -89,6 +89,8 @@ class VehicleSession {
   using SearchCallback =
       std::function<bool(const absl::StatusOr<VehicleView>&)>;
   void Search(std::string flow, SearchCallback callback);
+  // Whether other work of the vehicle waits for such a callback that runs.
+  bool is_wanted() const;
 
   // See AppendRequest and AppendObserver. Poses that are stored already with
   // the same content are acknowledged again. Errors: ALREADY_EXISTS

@@ -138,15 +138,6 @@ def test_refuses_scopes_that_are_not_there(stub, site):
         assert wrong.violations[0][0] == field
 
 
-def test_streams_refuse_scopes(stub, site):
-    opening = api.StreamPosesRequest(open=api.StreamPosesOpen(
-        vehicle=name_of("one"), candidate_options=api.CandidateOptions(
-            scope=api.SearchScope(group=site))))
-    refused = failure_of(lambda: list(stub.StreamPoses(iter([opening]))))
-    assert refused.code == grpc.StatusCode.INVALID_ARGUMENT
-    assert refused.violations[0][0] == "open.candidate_options.scope"
-
-
 def test_all_histories_count_against_the_limit_of_steps(tmp_path, drive):
     with Server(tmp_path / "store", "--max-search-steps", 600000) as server:
         stub = server.stub()
