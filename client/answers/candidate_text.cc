@@ -87,23 +87,6 @@ void PrintSearched(const v1::CandidateSet& set, const Terminal& terminal) {
   table.Print(terminal.out, terminal.width);
 }
 
-// Members by why they were not searched. A line names so many at most.
-void PrintUnsearched(const v1::CandidateSet& set, std::ostream& out) {
-  constexpr std::size_t kMostNames = 10;
-  std::map<v1::UnsearchedReason, std::vector<std::string>> by_reason;
-  for (const v1::UnsearchedVehicle& one : set.unsearched()) {
-    by_reason[one.reason()].push_back(Printable(one.vehicle()));
-  }
-  for (auto& [reason, vehicles] : by_reason) {
-    const std::size_t count = vehicles.size();
-    vehicles.resize(std::min(count, kMostNames));
-    out << "not searched, since " << Explain(reason) << ": "
-        << absl::StrJoin(vehicles, ", ");
-    if (count > kMostNames) out << " and " << count - kMostNames << " more";
-    out << '\n';
-  }
-}
-
 // In which other vehicles a search in a group has looked, and in which it has
 // not.
 void PrintScope(const v1::CandidateSet& set, const Terminal& terminal) {
@@ -381,6 +364,23 @@ void PrintCheck(const v1::CandidateSet& set, std::ostream& out) {
     out << "opposite direction, ";
   }
   out << NameOf(best.verdict()) << '\n';
+}
+
+void PrintUnsearched(const v1::CandidateSet& set, std::ostream& out) {
+  // A line names so many at most.
+  constexpr std::size_t kMostNames = 10;
+  std::map<v1::UnsearchedReason, std::vector<std::string>> by_reason;
+  for (const v1::UnsearchedVehicle& one : set.unsearched()) {
+    by_reason[one.reason()].push_back(Printable(one.vehicle()));
+  }
+  for (auto& [reason, vehicles] : by_reason) {
+    const std::size_t count = vehicles.size();
+    vehicles.resize(std::min(count, kMostNames));
+    out << "not searched, since " << Explain(reason) << ": "
+        << absl::StrJoin(vehicles, ", ");
+    if (count > kMostNames) out << " and " << count - kMostNames << " more";
+    out << '\n';
+  }
 }
 
 void PrintPairs(const std::string& vehicle, const v1::CandidateSet& set,

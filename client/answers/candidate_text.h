@@ -61,6 +61,10 @@ inline constexpr char kStaleText[] =
 // A line for one check of a stream: its first candidate.
 void PrintCheck(const v1::CandidateSet& set, std::ostream& out);
 
+// The members of a group that a search has not searched: a line for each reason
+// why. Nothing where it has searched all.
+void PrintUnsearched(const v1::CandidateSet& set, std::ostream& out);
+
 // The sequences of each candidate's query and matched node, "2068-1072", each
 // on a line: the id under which a loop closure of the two is kept. Of one in
 // another vehicle, the two ends "shuttle-7@2068 shuttle-8@1072". `vehicle` is

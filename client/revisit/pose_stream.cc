@@ -390,8 +390,11 @@ void PoseStream::Rep::Run() {
       changed.NotifyAll();
       return;
     }
-    // The server says when a vehicle that is elsewhere may be asked for again.
-    if (progressed || WasElsewhere(status)) backoff.Reset();
+    // The server says when a vehicle that is elsewhere may be asked for again,
+    // and when to ask whether histories were read.
+    if (progressed || WasElsewhere(status) || ReadsHistories(status)) {
+      backoff.Reset();
+    }
     if (progressed) {
       last_progress = Clock::now();
     }

@@ -27,6 +27,10 @@
 // no pose taken for durable because the new vehicle has its sequence),
 // INVALID_ARGUMENT and NOT_FOUND.
 //
+// With a scope in PoseStreamOptions::candidate_options, checks search in a
+// group. While the server reads the histories of its members (GROUP_NOT_READY),
+// the stream is not opened, and connects again until give_up_after.
+//
 // Candidates: the server sends the answer of a check once, on the stream on
 // which the check's batch became durable. If the connection breaks after that
 // and before the answer arrives, the answer is lost: it is not sent again, also

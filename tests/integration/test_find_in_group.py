@@ -7,7 +7,7 @@ import re
 import pytest
 
 from revisit_server import clean_environment, run, wait_until
-from wire import append, batches, boreas
+from wire import BOREAS, append, batches, boreas
 
 # The drive comes back to its first road where the second day begins.
 FIRST_DAY = 1079
@@ -76,6 +76,30 @@ def test_only_the_histories_that_are_asked_for_are_searched(revisit):
     nothing = revisit("find", "shuttle-8", "--group", "nothing")
     assert nothing.returncode == 64 + 5 and "GROUP_NOT_FOUND" in nothing.stderr
     assert revisit("find", "shuttle-8", "--partial").returncode == USAGE
+
+
+def test_a_stream_names_the_vehicles_that_its_checks_find(revisit):
+    stream = ["stream", str(BOREAS), "--vehicle", "shuttle-9", "--create",
+              "--candidates", "--group", "depot", "--in", "shuttle-7,drone",
+              "--exclude-own"]
+    text = succeeded(revisit(*stream))
+    assert text.count("check at ") > 200
+    assert re.search(r"^check at sequence 20\d\d, .* of vehicles/shuttle-7, ", text,
+                     re.MULTILINE), text
+    # Told once, since it stays so.
+    assert text.count("not searched, since its state space is another one: "
+                      "vehicles/drone\n") == 1
+    stream[3] = "shuttle-10"
+    found = [json.loads(line) for line in
+             succeeded(revisit(*stream, "--partial", "--json")).splitlines()]
+    checks = [line for line in found if "groupRevision" in line]
+    assert len(checks) == found[-1]["checks"] > 200
+    assert {candidate["matchedVehicle"] for check in checks
+            for candidate in check["candidates"]} == {"vehicles/shuttle-7"}
+    nothing = revisit(*stream[:4], "--candidates", "--group", "nothing")
+    assert nothing.returncode == 64 + 5 and "GROUP_NOT_FOUND" in nothing.stderr
+    assert revisit(*stream[:4], "--group", "depot").returncode == USAGE
+    assert revisit(*stream[:4], "--candidates", "--partial").returncode == USAGE
 
 
 def test_a_map_shows_the_group_in_the_frame_of_one_vehicle(revisit, tmp_path):

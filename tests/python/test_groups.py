@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import revisit
+from conftest import straight
 from fake_service import Fault, FakeService, serving
-from revisit import BackoffOptions, v1
+from revisit import BackoffOptions, StreamOptions, v1
 
 QUICK = BackoffOptions(initial=0.01, max=0.05)
 UNAVAILABLE = Fault(grpc.StatusCode.UNAVAILABLE, reason="STORE_UNAVAILABLE")
@@ -340,6 +341,66 @@ def test_what_only_a_group_has_is_refused_without_one(call):
             with pytest.raises(TypeError, match="group is missing"):
                 call(address, "find_candidates", "a", **keywords)
     assert fake.asked == []
+
+
+class FakeStreams(FakeService):
+    """Refuses to open a stream with each of the faults that it is given."""
+
+    def StreamPoses(self, requests, context):
+        if self.faults:
+            self._note(context)
+            self.opens.append(next(requests).open)
+            self._meet(context)
+        yield from super().StreamPoses(requests, context)
+
+
+def stream(call, address, **options):
+    """Streams a few poses; answers how often it connected again."""
+    options = StreamOptions(send_candidates=True, backoff=QUICK, **options)
+    if call is blocking:
+        with revisit.Client(address) as client:
+            with client.stream_poses("a", options) as poses:
+                poses.append(straight(3))
+            return poses.reconnects
+
+    async def all_poses():
+        async with revisit.aio.Client(address) as client:
+            async with client.stream_poses("a", options) as poses:
+                await poses.append(straight(3))
+            return poses.reconnects
+
+    return asyncio.run(all_poses())
+
+
+def test_a_stream_searches_in_a_group_as_a_call_does(call):
+    fake = FakeStreams()
+    with serving(fake) as address:
+        stream(call, address, group="depot", vehicles=["b", "vehicles/c"],
+               exclude_own=True, allow_partial=True,
+               candidate_options=v1.CandidateOptions(max_candidates=3))
+        stream(call, address, candidate_options=v1.CandidateOptions(max_candidates=3))
+    assert [opening.candidate_options for opening in fake.opens] == [
+        v1.CandidateOptions(max_candidates=3, scope=v1.SearchScope(
+            group="groups/depot", vehicles=["vehicles/b", "vehicles/c"],
+            exclude_own=True, allow_partial=True)),
+        v1.CandidateOptions(max_candidates=3)]
+
+
+def test_a_stream_waits_for_the_histories_of_a_group_before_it_takes_poses(call):
+    fake = FakeStreams(*[NOT_READY] * 12)
+    with serving(fake) as address:
+        assert stream(call, address, group="g") == 12
+    assert len(fake.opens) == 13 and fake.stored == [1, 2, 3]
+    assert all(opening.candidate_options.scope.group == "groups/g"
+               for opening in fake.opens)
+
+
+def test_options_of_a_stream_say_what_does_not_go_together():
+    for keywords in ({"vehicles": []}, {"exclude_own": True}, {"allow_partial": True}):
+        with pytest.raises(TypeError, match="group is missing"):
+            StreamOptions(send_candidates=True, **keywords)
+    with pytest.raises(ValueError, match="without send_candidates"):
+        StreamOptions(group="depot")
 
 
 @pytest.mark.parametrize("pose, covariance, expected", [

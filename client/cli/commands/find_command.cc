@@ -57,12 +57,7 @@ absl::Status RunFind(const Client& client, v1::FindCandidatesRequest request,
                      const Terminal& terminal) {
   request.set_vehicle(VehicleName(request.vehicle()));
   const auto response = client.FindCandidates(request);
-  if (ReadsHistories(response.status())) {
-    return WithHint(response.status(),
-                    "the server goes on reading: ask again, or take what it "
-                    "has by now with --partial");
-  }
-  if (!response.ok()) return response.status();
+  if (!response.ok()) return WithPartialHint(response.status());
   const v1::CandidateSet& set = response->candidates();
   if (terminal.json()) {
     terminal.out << ToJson(set, true) << '\n';

@@ -77,12 +77,7 @@ absl::Status RunGroupFrames(const Client& client,
   request.set_parent(GroupName(request.parent()));
   request.set_vehicle(VehicleName(request.vehicle()));
   const auto all = ReadFrameTransforms(client, request);
-  if (ReadsHistories(all.status())) {
-    return WithHint(all.status(),
-                    "the server goes on reading: ask again, or take what it "
-                    "has by now with --partial");
-  }
-  if (!all.ok()) return all.status();
+  if (!all.ok()) return WithPartialHint(all.status());
   if (terminal.json()) {
     terminal.out << ToJson(*all, true) << '\n';
   } else if (terminal.names()) {

@@ -333,7 +333,7 @@ absl::Status SampleSender::Open() {
   interrupt_.emplace(stream_.get(), vehicle_.name(), options_.append,
                      terminal_);
   const auto durable = stream_->WaitUntilOpened();
-  if (!durable.ok()) return durable.status();
+  if (!durable.ok()) return WithPartialHint(durable.status());
   already_durable_ = *durable;
   if (options_.append) base_ = *durable;
   if (absl::Status status = CheckThatSessionIsFree(); !status.ok()) {

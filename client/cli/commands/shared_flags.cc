@@ -8,6 +8,7 @@
 #include "absl/strings/str_split.h"
 #include "client/answers/names.h"
 #include "client/formats/angles.h"
+#include "client/revisit/status.h"
 
 namespace revisit::client {
 
@@ -90,6 +91,13 @@ void AddScope(const Command& command, v1::CandidateOptions* options) {
       "Do not wait until the server has read all histories: answer with those "
       "that it has, and name the others");
   for (const Flag& flag : {in, exclude_own, partial}) flag.Needs(group);
+}
+
+absl::Status WithPartialHint(const absl::Status& status) {
+  if (!ReadsHistories(status)) return status;
+  return WithHint(status,
+                  "the server goes on reading: ask again, or take what it has "
+                  "by now with --partial");
 }
 
 void AddCandidateFilter(const Command& command, v1::CandidateFilter* filter) {

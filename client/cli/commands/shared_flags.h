@@ -6,6 +6,7 @@
 #include <functional>
 #include <string>
 
+#include "absl/status/status.h"
 #include "client/cli/flags.h"
 #include "client/trajectory/dead_reckoning.h"
 #include "revisit/v1/candidate.pb.h"
@@ -35,6 +36,9 @@ Flag AddMembers(const Command& command, const char* help,
 
 // Where else than in the vehicle's own history searches look.
 void AddScope(const Command& command, v1::CandidateOptions* options);
+
+// The status, with a hint at --partial where the server still reads histories.
+absl::Status WithPartialHint(const absl::Status& status);
 
 // Which stored candidates are wanted.
 void AddCandidateFilter(const Command& command, v1::CandidateFilter* filter);

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <filesystem>
+#include <sstream>
 #include <system_error>
 #include <utility>
 #include <vector>
@@ -34,6 +35,8 @@ struct Tally {
   std::uint64_t revision ABSL_GUARDED_BY(mutex) = 0;
   std::int64_t jumps ABSL_GUARDED_BY(mutex) = 0;
   std::int64_t checks ABSL_GUARDED_BY(mutex) = 0;
+  // Which members of a group the last check has not searched, in words.
+  std::string unsearched ABSL_GUARDED_BY(mutex);
 };
 
 // All of `tally`, `progress` and `terminal` must outlive the stream.
@@ -58,13 +61,19 @@ PoseStreamCallbacks MakeCallbacks(Tally* tally, Progress* progress,
     if (terminal.json()) {
       terminal.out << ToJson(set, false) << '\n';
     } else {
+      std::ostringstream unsearched;
+      PrintUnsearched(set, unsearched);
+      if (tally->unsearched != unsearched.str())
+        terminal.out << unsearched.str();
+      tally->unsearched = unsearched.str();
       PrintCheck(set, terminal.out);
     }
   };
   callbacks.disconnected = [progress](const absl::Status& status,
                                       std::chrono::nanoseconds wait) {
     progress->Note(
-        absl::StrCat("connection lost, trying again in ",
+        absl::StrCat(ReadsHistories(status) ? "not opened" : "connection lost",
+                     ", trying again in ",
                      Fixed(std::chrono::duration<double>(wait).count(), 1),
                      " s: ", Describe(status)));
   };
@@ -104,7 +113,9 @@ constexpr char kStreamExamples[] =
     "--recording datum:10m,1deg\n"
     "  ros2 topic echo --csv /odom | revisit stream - --vehicle shuttle-7\n"
     "  revisit stream drive.csv --vehicle shuttle-7 --candidates "
-    "--direction either --json";
+    "--direction either --json\n"
+    "  revisit stream drive.csv --vehicle shuttle-8 --candidates "
+    "--group depot --exclude-own";
 
 // Adds the flags that say what becomes of the poses.
 void AddVehicleFlags(const Command& command, StreamOptions* options) {
@@ -129,6 +140,7 @@ void AddVehicleFlags(const Command& command, StreamOptions* options) {
   command.AddSwitch("--candidates", &options->candidates,
                     "Print the candidates of every check that falls due");
   AddDirection(command, &options->candidate_options);
+  AddScope(command, &options->candidate_options);
 }
 
 // A label's key is session. and the name.
@@ -175,8 +187,10 @@ std::string FinishOptions(const Command& command, StreamOptions* options) {
     options->files.pop_back();
   }
   if (options->vehicle.empty()) return "--vehicle is required";
-  if (command.Given("--direction") && !options->candidates) {
-    return "--direction: goes with --candidates";
+  for (const char* flag : {"--direction", "--group"}) {
+    if (command.Given(flag) && !options->candidates) {
+      return absl::StrCat(flag, ": goes with --candidates");
+    }
   }
   if (std::string problem = CheckSession(options->session); !problem.empty()) {
     return problem;

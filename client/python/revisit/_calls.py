@@ -13,6 +13,7 @@ from google.protobuf import field_mask_pb2
 from numpy.typing import ArrayLike
 
 from revisit import v1
+from revisit._names import Vehicles, vehicle_name, vehicle_names
 from revisit._settings import merged, number_of
 from revisit.arrays import Poses, PosesLike, to_covariances
 from revisit.errors import Internal
@@ -20,8 +21,6 @@ from revisit.stream_options import ProgressBar
 from revisit.tables import PoseGraph, edge_table, node_table
 
 _T = TypeVar("_T")
-#: By id or resource name; None for all.
-Vehicles = Union[str, Iterable[str], None]
 #: One value of an enum or several, by number or by name as in settings.
 Words = Union[str, int, Iterable[Union[str, int]], None]
 _Pair = TypeVar("_Pair", v1.LoopClosure, v1.RejectedCandidate)
@@ -55,22 +54,6 @@ _CHECKS_PAGE = 200
 _MOST_EMPTY_PAGES = 100
 #: The same of checks, of which a filter may leave out many pages.
 _MOST_EMPTY_PAGES_OF_CHECKS = 100_000
-
-
-def vehicle_name(vehicle: str) -> str:
-    """The resource name: "vehicles/shuttle-7", also of the id "shuttle-7"."""
-    return vehicle if "/" in vehicle else f"vehicles/{vehicle}"
-
-
-def vehicle_names(vehicles: Vehicles) -> list[str]:
-    if isinstance(vehicles, str):
-        vehicles = (vehicles,)
-    return [vehicle_name(vehicle) for vehicle in vehicles or ()]
-
-
-def group_name(group: str) -> str:
-    """The resource name: "groups/depot", also of the id "depot"."""
-    return group if "/" in group else f"groups/{group}"
 
 
 def _messages(poses: PosesLike) -> Iterable[v1.Pose]:
@@ -284,19 +267,6 @@ def export_pose_graph(vehicle: str, as_sent: bool) -> Call[PoseGraph]:
 
 
 # Candidates, and what a verifier found of them.
-
-
-def search_scope(group: str, vehicles: Vehicles, exclude_own: bool,
-                 allow_partial: bool) -> Optional[v1.SearchScope]:
-    """Where else than in its own history a search of a vehicle looks; None without a
-    group. TypeError for what only a group has."""
-    if not group:
-        if vehicles is not None or exclude_own or allow_partial:
-            raise TypeError("group is missing: vehicles, exclude_own and allow_partial "
-                            "are those of a search in a group")
-        return None
-    return v1.SearchScope(group=group_name(group), vehicles=vehicle_names(vehicles),
-                          exclude_own=exclude_own, allow_partial=allow_partial)
 
 
 def find_candidates(vehicle: str, sequence: int,

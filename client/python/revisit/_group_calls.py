@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 
 from revisit import v1
 from revisit._calls import (
-    PAGE, Call, Pages, Vehicles, add_findings, coordinates_of, covariance_of,
-    group_name, unary, vehicle_name, vehicle_names)
+    PAGE, Call, Pages, add_findings, coordinates_of, covariance_of, unary)
+from revisit._names import Vehicles, group_name, vehicle_name, vehicle_names
 from revisit._settings import merged
 from revisit.errors import Aborted
 

@@ -23,7 +23,7 @@ from revisit.channel import Metadata
 from revisit.errors import (
     Aborted, Cancelled, DataLoss, Error, FailedPrecondition, InvalidArgument,
     ResourceExhausted, Unauthenticated, Unavailable, VehicleReplaced, is_cut,
-    was_elsewhere)
+    reads_histories, was_elsewhere)
 from revisit.stream_options import StreamCallbacks, StreamOptions
 
 log = logging.getLogger("revisit")
@@ -204,6 +204,9 @@ class StreamState:
         if (self.options.send_candidates
                 and self.options.candidate_options is not None):
             opening.candidate_options.CopyFrom(self.options.candidate_options)
+        scope = self.options.search_scope()
+        if scope is not None:
+            opening.candidate_options.scope.CopyFrom(scope)
         return v1.StreamPosesRequest(open=opening)
 
     def may_send(self, connection: Connection) -> bool:
@@ -344,9 +347,10 @@ class StreamState:
             self.end(error)
             return None
         assert isinstance(error, Error)
-        if connection.progressed or was_elsewhere(error):
+        if (connection.progressed or was_elsewhere(error)
+                or reads_histories(error)):
             # The server says when a vehicle that is elsewhere may be asked for
-            # again.
+            # again, and when to ask whether histories were read.
             self._backoff.reset()
         if connection.progressed:
             self._last_progress = time.monotonic()

@@ -6,6 +6,7 @@ import dataclasses
 from typing import Callable, Optional, Protocol
 
 from revisit import v1
+from revisit._names import Vehicles, search_scope
 from revisit.backoff import BackoffOptions
 from revisit.errors import Error
 
@@ -24,6 +25,14 @@ class StreamOptions:
     #: Whether the server answers with candidates at every check, and how.
     send_candidates: bool = False
     candidate_options: Optional[v1.CandidateOptions] = None
+    #: The group in whose histories the checks search too, of those that `vehicles`
+    #: names, and with `exclude_own` not in that of the vehicle itself. The server may
+    #: have to read the histories first: the stream then opens later, unless
+    #: `allow_partial`. With `send_candidates` only.
+    group: str = ""
+    vehicles: Vehicles = None
+    exclude_own: bool = False
+    allow_partial: bool = False
     #: Highest sequence that this client knows to be durable from an earlier
     #: life; 0 if it keeps no such record. The stream ends with DataLoss if the
     #: server has less.
@@ -61,9 +70,20 @@ class StreamOptions:
         if self.acked_sequence < 0:
             raise ValueError(f"acked_sequence is {self.acked_sequence}: it is at "
                              "least 0")
+        if self.group and not self.send_candidates:
+            raise ValueError(f"group is {self.group!r} without send_candidates: there "
+                             "are no checks that could search in it")
+        # Says what is wrong with them.
+        self.search_scope()
         if not self.answer_timeout > 0.0:
             raise ValueError(f"answer_timeout is {self.answer_timeout} s: it is "
                              "positive")
+
+    def search_scope(self) -> Optional[v1.SearchScope]:
+        """Where else than in the vehicle's own history the checks search; None without
+        a group."""
+        return search_scope(self.group, self.vehicles, self.exclude_own,
+                            self.allow_partial)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -126,6 +126,23 @@ TEST_F(PoseStreamTest, GoesToTheOwnerOfItsVehicleWithEveryPose) {
               ::testing::ElementsAre("", "MTAuMC4wLjI6NTAwNTE=", ""));
 }
 
+TEST_F(PoseStreamTest, OpensOnceTheHistoriesOfItsGroupWereRead) {
+  int opens = 0;
+  server_.FailOpens([&opens] {
+    if (++opens > 9) return StreamFault();
+    return StreamFault{Kind::kBefore, MakeStatus(grpc::StatusCode::UNAVAILABLE,
+                                                 "reads", {"GROUP_NOT_READY"})};
+  });
+  PoseStreamOptions options = Options();
+  options.send_candidates = true;
+  options.candidate_options.mutable_scope()->set_group("groups/depot");
+  const auto stream = Open(options);
+  ASSERT_TRUE(stream->Append(MakeBatch(1, 100)).ok());
+  EXPECT_TRUE(stream->Finish().ok());
+  EXPECT_EQ(stream->reconnects(), 9);
+  EXPECT_TRUE(server_.Stored() == Serialized(100));
+}
+
 TEST_F(PoseStreamTest, SendsNoLargerBatchesThanItMay) {
   server_.set_max_batch_poses(7);
   const auto stream = Open();

@@ -13,8 +13,9 @@ import grpc
 from numpy.typing import ArrayLike
 
 from revisit import _calls, _group_calls, client, maps, v1
-from revisit._calls import Call, Pages, Vehicles, Words, vehicle_name
+from revisit._calls import Call, Pages, Words
 from revisit._group_calls import MemberPose
+from revisit._names import Vehicles, search_scope, vehicle_name
 from revisit._retries import CallOptions
 from revisit._stream_state import StreamState, log_warnings
 from revisit._watch_state import WatchState
@@ -216,7 +217,7 @@ class Client:
                               ) -> v1.CandidateSet:
         return await self._run(_calls.find_candidates(
             vehicle, sequence, options,
-            _calls.search_scope(group, vehicles, exclude_own, allow_partial), keywords))
+            search_scope(group, vehicles, exclude_own, allow_partial), keywords))
 
     async def add_loop_closure(self, vehicle: str,
                                query: Union[int, v1.Candidate, v1.LoopClosure],
