@@ -245,6 +245,8 @@ TEST_F(StreamChecksTest, AreNoMoreMadeOnceOneCannotBe) {
               IsError(StatusCode::kNotFound, "MEMBER_NOT_FOUND", _));
   EXPECT_TRUE(checks_->idle());
   EXPECT_TRUE(ComesToBe("ack 210"));
+  checks_->Add({150});
+  EXPECT_TRUE(checks_->idle());
   EXPECT_THAT(events_.all(), ElementsAre("ack 205", "ack 210"));
 }
 
