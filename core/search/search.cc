@@ -1,10 +1,12 @@
 #include "core/search/search.h"
 
 #include <algorithm>
+#include <array>
 #include <cassert>
 #include <cmath>
 #include <map>
 #include <memory>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -22,6 +24,7 @@
 #include "core/search/alignment/query.h"
 #include "core/search/alignment/relation.h"
 #include "core/search/alignment/relative.h"
+#include "core/search/alignment/walked_ends.h"
 #include "core/search/belief/drive_belief.h"
 #include "core/search/belief/mark.h"
 #include "core/search/candidates/composite_search.h"
@@ -184,11 +187,12 @@ class Search::Impl {
                       const ShouldStop& should_stop) const;
   // Whether a search with these options aligns the path that a mark there does.
   bool AlignsAsMarks(const SearchOptions& options) const;
-  // Searches the mark at the query, if there is one that is not known. The
-  // histories and the parts are those of a search there.
-  void RememberIfMark(NodeIndex query, const std::vector<History>& histories,
-                      const ShouldStop& should_stop,
-                      std::vector<AlignmentParts>* parts);
+  // The mark at the query, if there is one that is not known.
+  std::optional<std::int64_t> MarkToLearn(NodeIndex query) const;
+  // Searches a mark. The histories and the parts are those of a search there.
+  void Remember(std::int64_t mark, const std::vector<History>& histories,
+                const ShouldStop& should_stop,
+                std::vector<AlignmentParts>* parts);
 
   const Drive& drive_;
   MarkMemory marks_;
@@ -284,17 +288,24 @@ absl::StatusOr<CandidateSet> Search::Impl::At(NodeIndex query,
   AddHistories(extent, others,
                drive_.NotSought(query, options.candidate_separation_meters),
                task.prior.belief ? &*task.prior.belief : nullptr, &task);
+  // The path of a search of other drives is weighed by their roads too.
+  const std::optional<std::int64_t> mark =
+      extent.others == 0 && task.prior.belief && AlignsAsMarks(options)
+          ? MarkToLearn(query)
+          : std::nullopt;
   std::vector<AlignmentParts> parts(task.histories.size());
+  if (mark) {
+    for (AlignmentParts& of_history : parts) {
+      of_history.walked = std::make_shared<std::array<WalkedEnds, 2>>();
+    }
+  }
   task.parts = &parts;
   task.own_comparisons = extent.comparisons;
   task.comparisons = &last_comparisons_;
   const absl::Status status = FindCandidates(task, &set);
   if (!status.ok()) return status;
   if (set.empty_reason == EmptyReason::kTooMuchWork) last_comparisons_ = 0;
-  // The path of a search of other drives is weighed by their roads too.
-  if (extent.others == 0 && task.prior.belief && AlignsAsMarks(options)) {
-    RememberIfMark(query, task.histories, should_stop, &parts);
-  }
+  if (mark) Remember(*mark, task.histories, should_stop, &parts);
   return set;
 }
 
@@ -442,20 +453,26 @@ bool Search::Impl::AlignsAsMarks(const SearchOptions& options) const {
          own.shape == options.shape;
 }
 
-// The next search will need the mark, which now takes less. It takes frames as
-// no closure has tied them, so of other recordings it shares the path alone.
-void Search::Impl::RememberIfMark(NodeIndex query,
-                                  const std::vector<History>& histories,
-                                  const ShouldStop& should_stop,
-                                  std::vector<AlignmentParts>* parts) {
+std::optional<std::int64_t> Search::Impl::MarkToLearn(NodeIndex query) const {
   const MarkLine line = Marks();
   const std::int64_t mark = line.LastBefore(query) + 1;
-  if (mark < 1 || line.NodeOf(mark) != query || marks_.Find(mark)) return;
+  if (mark < 1 || line.NodeOf(mark) != query || marks_.Find(mark)) {
+    return std::nullopt;
+  }
+  return mark;
+}
+
+// The next search will need the mark, which now takes less. It takes frames as
+// no closure has tied them, so that other recordings may lie elsewhere.
+void Search::Impl::Remember(std::int64_t mark,
+                            const std::vector<History>& histories,
+                            const ShouldStop& should_stop,
+                            std::vector<AlignmentParts>* parts) {
   for (std::size_t h = 0; h < histories.size(); ++h) {
-    if (!histories[h].relation.is_own()) (*parts)[h].parts.reset();
+    if (!histories[h].relation.is_own()) (*parts)[h].axes.reset();
   }
   const absl::StatusOr<MarkEvidence> found =
-      EvidenceAt(query, should_stop, parts);
+      EvidenceAt(Marks().NodeOf(mark), should_stop, parts);
   if (found.ok()) marks_.Keep(mark, *found);
 }
 

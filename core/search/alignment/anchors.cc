@@ -9,6 +9,7 @@
 #include "core/geometry/heading.h"
 #include "core/geometry/state_matrix.h"
 #include "core/noise/similarity_model.h"
+#include "core/search/alignment/exponential_sum.h"
 #include "core/search/alignment/shown_drift.h"
 
 namespace revisit::core {
@@ -57,15 +58,10 @@ template <int D>
 void Anchors<D>::AddOwnParts(const Query& query, const History& history,
                              const SimilarityModel& similarity,
                              const WeighedScale& scale) {
-  const auto add = [&]() -> Part& {
-    Part& part = parts_.emplace_back();
-    part.scale = scale.scale;
-    part.log_scale_weight = scale.log_weight;
-    return part;
-  };
-  add().finder.emplace(query, history, similarity, model_.last_confirmed);
+  parts_.emplace_back(scale).finder.emplace(query, history, similarity,
+                                            model_.last_confirmed);
   for (const WeighedDrift& drift : drifts_) {
-    Part& part = add();
+    Part& part = parts_.emplace_back(scale);
     part.drift = &drift;
     const auto shown = ShownDrift<D>::Make(query, similarity, drift.pairs);
     if (!shown) {
@@ -93,9 +89,7 @@ void Anchors<D>::AddTiedParts(const Query& query, const History& history,
                               const WeighedScale& scale) {
   const Relation& relation = history.relation;
   const auto add = [&](std::size_t way) -> Part& {
-    Part& part = parts_.emplace_back();
-    part.scale = scale.scale;
-    part.log_scale_weight = scale.log_weight;
+    Part& part = parts_.emplace_back(scale);
     part.way = way;
     return part;
   };
@@ -266,54 +260,68 @@ const double* Anchors<D>::FurtherShift(const Part& part,
   return axes.further;
 }
 
+template <int D>
+std::size_t Anchors<D>::PossibleParts(std::size_t i) const {
+  return static_cast<std::size_t>(
+      std::count_if(parts_.begin(), parts_.end(), [i](const Part& part) {
+        return part.counts && part.similarity.log_similarity[i] != kImpossible;
+      }));
+}
+
+// All parts together come to no more than as many times the greatest of them,
+// so that one of them has to come to its share.
+template <int D>
+bool Anchors<D>::MayReach(std::size_t i, const StateVector<D>& shift,
+                          std::optional<std::int64_t> steps, double least) {
+  const std::size_t possible = PossibleParts(i);
+  const double share =
+      possible == 1 ? least : least - std::log(static_cast<double>(possible));
+  return std::any_of(parts_.begin(), parts_.end(), [&](const Part& part) {
+    return part.counts && part.similarity.log_similarity[i] != kImpossible &&
+           PartMayReach(part, i, shift, steps, share);
+  });
+}
+
 // With d the difference as it is shifted, G its covariance and A what a path
 // takes from that,
 //
 //   (d + s)^T (G - A)^-1 (d + s) + s^T B^-1 s >= d^T (G + B)^-1 d.
 template <int D>
-double Anchors<D>::BoundShifted(std::size_t i, const StateVector<D>& shift,
-                                std::optional<std::int64_t> steps) {
-  double most = kImpossible;
-  double counting = 0.0;
-  for (const Part& part : parts_) {
-    if (!part.counts || part.similarity.log_similarity[i] == kImpossible) {
-      continue;
-    }
-    counting += 1.0;
-    if (!part.finder) {
-      most = std::max(most, part.log_weight + part.unshifted[i]);
-      continue;
-    }
-    const StateVector<D> turned = AxesOf(part).TurnedShift(shift);
-    const double* const further = FurtherShift(part, steps);
-    // L^-1 d, by the factors L D L^T of G + B, row by row.
-    double lower[D][D];
-    double pivots[D];
-    double solved[D];
-    double squared = 0.0;
-    std::size_t entry = 0;
-    for (int r = 0; r < D; ++r) {
-      solved[r] = part.differences.difference[static_cast<std::size_t>(r)][i] +
-                  turned(r);
-      for (int c = 0; c <= r; ++c, ++entry) {
-        double left = part.differences.covariance[entry][i] + further[entry];
-        for (int k = 0; k < c; ++k) {
-          left -= lower[r][k] * lower[c][k] * pivots[k];
-        }
-        if (c < r) {
-          lower[r][c] = left / pivots[c];
-          solved[r] -= lower[r][c] * solved[c];
-        } else {
-          pivots[r] = left;
-        }
+bool Anchors<D>::PartMayReach(const Part& part, std::size_t i,
+                              const StateVector<D>& shift,
+                              std::optional<std::int64_t> steps, double least) {
+  // What there is left for the square, which is no less than 0.
+  const double left_over = 2.0 * (part.log_weight + part.unshifted[i] - least);
+  if (left_over < 0.0) return false;
+  if (!part.finder) return true;
+  const StateVector<D> turned = AxesOf(part).TurnedShift(shift);
+  const double* const further = FurtherShift(part, steps);
+  // L^-1 d, by the factors L D L^T of G + B, row by row.
+  double lower[D][D];
+  double pivots[D];
+  double solved[D];
+  double squared = 0.0;
+  std::size_t entry = 0;
+  for (int r = 0; r < D; ++r) {
+    solved[r] =
+        part.differences.difference[static_cast<std::size_t>(r)][i] + turned(r);
+    for (int c = 0; c <= r; ++c, ++entry) {
+      double left = part.differences.covariance[entry][i] + further[entry];
+      for (int k = 0; k < c; ++k) {
+        left -= lower[r][k] * lower[c][k] * pivots[k];
       }
-      // Written so that NaN is nothing known.
-      if (!(pivots[r] > 0.0)) return std::numeric_limits<double>::infinity();
-      squared += solved[r] * solved[r] / pivots[r];
+      if (c < r) {
+        lower[r][c] = left / pivots[c];
+        solved[r] -= lower[r][c] * solved[c];
+      } else {
+        pivots[r] = left;
+      }
     }
-    most = std::max(most, part.log_weight + part.unshifted[i] - 0.5 * squared);
+    // Written so that NaN is nothing known.
+    if (!(pivots[r] > 0.0)) return true;
+    squared += solved[r] * solved[r] / pivots[r];
   }
-  return counting == 1.0 ? most : most + std::log(counting);
+  return !(squared > left_over);
 }
 
 // The change comes in the axes of axes_.
@@ -350,13 +358,13 @@ auto Anchors<D>::At(std::size_t i) const -> Mixture {
   if (parts_.size() == 1 && mixture.log_similarity != kImpossible) {
     return mixture;
   }
-  double sum = 0.0;
+  ExponentialSum sum;
   for (const Part& part : parts_) {
     if (!part.counts) continue;
-    sum += std::exp(part.similarity.log_similarity[i] + part.log_weight -
-                    mixture.log_similarity);
+    sum.Add(part.similarity.log_similarity[i] + part.log_weight -
+            mixture.log_similarity);
   }
-  mixture.log_similarity += std::log(sum);
+  mixture.log_similarity += std::log(sum.value());
   return mixture;
 }
 

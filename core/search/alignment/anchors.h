@@ -66,13 +66,14 @@ class Anchors {
   // Undefined for nodes that are not possible.
   void Bound(const SearchBounds<D>& bounds, BoundOf of, BlockColumn* most);
 
-  // The same for node i, but for what is the same for all ends, once a path of
-  // so many steps has shifted its difference by `shift`, in the axes of the
-  // vehicle at the end, and as far as it may shift it further; nothing for a
-  // path that has ended. Infinity where nothing is known. REQUIRES: Bound()
-  // came after the nodes were found, Change() not.
-  double BoundShifted(std::size_t i, const StateVector<D>& shift,
-                      std::optional<std::int64_t> steps);
+  // Whether the log-odds of node i, but for what is the same for all ends and
+  // what its path gains, can come to `least`, once a path of so many steps has
+  // shifted its difference by `shift`, in the axes of the vehicle at the end,
+  // and as far as it may shift it further; nothing for a path that has ended.
+  // True where nothing is known. REQUIRES: Bound() came after the nodes were
+  // found, Change() not.
+  bool MayReach(std::size_t i, const StateVector<D>& shift,
+                std::optional<std::int64_t> steps, double least);
 
   // Changes the differences by what paths have shown.
   void Change(const DifferenceChange& change);
@@ -94,7 +95,7 @@ class Anchors {
   void AppendScales(std::size_t i, std::vector<double>* log_similarities) const;
 
  private:
-  // The axes of a part of its own, and what BoundShifted() needs in them.
+  // The axes of a part of its own, and what MayReach() needs in them.
   struct Axes {
     std::unique_ptr<const PathAxes<D>> own;
     std::optional<std::int64_t> further_after;
@@ -102,6 +103,11 @@ class Anchors {
   };
 
   struct Part {
+    // Leaves all else as it is until nodes are found: to clear so much takes
+    // longer than to make the rest.
+    explicit Part(const WeighedScale& of)
+        : scale(of.scale), log_scale_weight(of.log_weight) {}
+
     // Nothing where it is not known how the frames lie to each other.
     std::optional<Differences<D>> finder;
     // The query's heading in the history's frame, as this part has it, if it
@@ -110,8 +116,8 @@ class Anchors {
     std::size_t axes = 0;
     std::size_t way = 0;
     double log_way_weight = 0.0;
-    double scale = 1.0;
-    double log_scale_weight = 0.0;
+    double scale;
+    double log_scale_weight;
     // Nothing for the drift as claimed.
     const WeighedDrift* drift = nullptr;
     // In the block at hand. A part that does not count there has no weight.
@@ -132,6 +138,11 @@ class Anchors {
                     const SimilarityModel& similarity,
                     const WeighedScale& scale);
   void TurnAxes(const Query& query, const FrameRelation& tie, Part* part);
+  // Counts the parts in which node i is possible.
+  std::size_t PossibleParts(std::size_t i) const;
+  bool PartMayReach(const Part& part, std::size_t i,
+                    const StateVector<D>& shift,
+                    std::optional<std::int64_t> steps, double least);
   void Weigh(NodeIndex first);
   void Evaluate(Part* part);
   const PathAxes<D>& AxesOf(const Part& part);

@@ -8,6 +8,7 @@
 #include "core/drive/node_noise.h"
 #include "core/geometry/state_matrix.h"
 #include "core/noise/similarity_model.h"
+#include "core/search/alignment/search_progress.h"
 
 namespace revisit::core {
 namespace {
@@ -16,6 +17,33 @@ BlockColumn IndicesFrom(NodeIndex first) {
   BlockColumn indices;
   std::iota(indices.begin(), indices.end(), static_cast<double>(first));
   return indices;
+}
+
+// On which sides of the reference the nodes of a group lie.
+struct SidesOf {
+  SidesOf(const BlockNodes& before, std::size_t count, std::size_t first) {
+    const std::size_t last = std::min(count, first + NodeBlock::kGroupSize);
+    for (std::size_t i = first; i < last; ++i) {
+      (before[i] ? has_before : has_after) = true;
+    }
+  }
+  bool operator==(const SidesOf& other) const {
+    return has_before == other.has_before && has_after == other.has_after;
+  }
+
+  bool has_before = false;
+  bool has_after = false;
+};
+
+template <int D>
+void CopyDifference(const DifferenceBlock& from, std::size_t i,
+                    DifferenceBlock* to) {
+  for (std::size_t r = 0; r < D; ++r) {
+    to->difference[r][i] = from.difference[r][i];
+  }
+  for (std::size_t entry = 0; entry < D * (D + 1) / 2; ++entry) {
+    to->covariance[entry][i] = from.covariance[entry][i];
+  }
 }
 
 }  // namespace
@@ -101,44 +129,55 @@ void Differences<D>::FindTied(const NodeBlock& nodes, const NodeBlock& next,
                               NodeIndex first, const BlockColumn* indices,
                               std::size_t count,
                               DifferenceBlock* differences) const {
-  const auto is_before = [&](std::size_t i) {
-    return (indices == nullptr
-                ? first + static_cast<NodeIndex>(i)
-                : static_cast<NodeIndex>((*indices)[i])) < reference_;
-  };
-  std::size_t before = 0;
-  for (std::size_t i = 0; i < count; ++i) before += is_before(i) ? 1 : 0;
-  const auto find = [&](const Tied& tied, DifferenceBlock* found) {
-    KernelQuery query = tied.query;
-    query.tied = &tied.terms;
-    FindDifferences(query, nodes, next, nullptr, found);
-  };
-  find(before == count ? before_ : after_, differences);
-  if (before == count) return;
-  if (bridge_) {
-    TakeKnownDrift(*bridge_, model_.state_space, nodes,
-                   indices == nullptr ? IndicesFrom(first) : *indices,
-                   differences);
-  }
-  if (before == 0) return;
-  DifferenceBlock of_before;
-  of_before.count = differences->count;
-  find(before_, &of_before);
+  BlockNodes before;
   for (std::size_t i = 0; i < count; ++i) {
-    if (!is_before(i)) continue;
-    for (std::size_t r = 0; r < D; ++r) {
-      differences->difference[r][i] = of_before.difference[r][i];
+    const NodeIndex node = indices == nullptr
+                               ? first + static_cast<NodeIndex>(i)
+                               : static_cast<NodeIndex>((*indices)[i]);
+    before[i] = node < reference_;
+  }
+  const BlockColumn& all = indices == nullptr ? IndicesFrom(first) : *indices;
+  // Groups that hold nodes before the reference, others, or both, are found in
+  // runs.
+  EntryRange run;
+  for (; run.first < count; run.first = run.last) {
+    const SidesOf sides(before, count, run.first);
+    run.last = run.first + NodeBlock::kGroupSize;
+    while (run.last < count && SidesOf(before, count, run.last) == sides) {
+      run.last += NodeBlock::kGroupSize;
     }
-    for (std::size_t entry = 0; entry < D * (D + 1) / 2; ++entry) {
-      differences->covariance[entry][i] = of_before.covariance[entry][i];
+    if (!sides.has_after) {
+      FindSide(before_, nodes, next, run, differences);
+      continue;
+    }
+    FindSide(after_, nodes, next, run, differences);
+    if (bridge_) {
+      TakeKnownDrift(*bridge_, model_.state_space, nodes, all, differences,
+                     run);
+    }
+    if (!sides.has_before) continue;
+    DifferenceBlock of_before;
+    of_before.count = differences->count;
+    FindSide(before_, nodes, next, run, &of_before);
+    for (std::size_t i = run.first; i < std::min(run.last, count); ++i) {
+      if (before[i]) CopyDifference<D>(of_before, i, differences);
     }
   }
 }
 
 template <int D>
+void Differences<D>::FindSide(const Tied& tied, const NodeBlock& nodes,
+                              const NodeBlock& next, const EntryRange& range,
+                              DifferenceBlock* differences) const {
+  KernelQuery query = tied.query;
+  query.tied = &tied.terms;
+  FindDifferences(query, nodes, next, nullptr, differences, range);
+}
+
+template <int D>
 void Differences<D>::Find(std::size_t k, std::size_t count, std::size_t next,
                           DifferenceBlock* differences) {
-  differences->count = NodeBlock::kSize;
+  differences->count = count;
   if (is_tied_) {
     const PoseGraph& graph = history_.graph;
     FindTied(graph.block(k), graph.block(next),
@@ -159,9 +198,11 @@ void Differences<D>::Find(std::size_t k, std::size_t count, std::size_t next,
                      differences);
     }
   }
-  for (auto& column : differences->difference) {
+  const auto clear_rest = [count](BlockColumn& column) {
     std::fill(column.begin() + static_cast<int>(count), column.end(), 0.0);
-  }
+  };
+  for (BlockColumn& column : differences->difference) clear_rest(column);
+  for (BlockColumn& column : differences->covariance) clear_rest(column);
 }
 
 template <int D>

@@ -40,8 +40,8 @@ class Differences {
               const SimilarityModel& model, const FrameRelation& tie,
               double fixed_scale);
 
-  // Finds the differences of the first `count` nodes of block k; those of the
-  // other entries are 0. `next` is the block that will be asked for after it,
+  // Finds the differences of the first `count` nodes of block k; the other
+  // entries are 0. `next` is the block that will be asked for after it,
   // which is fetched on the way. REQUIRES: where the noise model has no closed
   // form, k falls from call to call.
   void Find(std::size_t k, std::size_t count, std::size_t next,
@@ -68,6 +68,8 @@ class Differences {
   void FindTied(const NodeBlock& nodes, const NodeBlock& next, NodeIndex first,
                 const BlockColumn* indices, std::size_t count,
                 DifferenceBlock* differences) const;
+  void FindSide(const Tied& tied, const NodeBlock& nodes, const NodeBlock& next,
+                const EntryRange& range, DifferenceBlock* differences) const;
   void FindFiltered(std::size_t k, std::size_t count,
                     DifferenceBlock* differences);
   void CarryBackTo(NodeIndex j);

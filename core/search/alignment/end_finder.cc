@@ -24,7 +24,9 @@ EndFinder<D>::EndFinder(const SearchInputs<D>& inputs, Direction direction,
       constant_(inputs.bounds.constant()),
       batch_(*batch),
       walk_(inputs.history, inputs.recent, inputs.axes, direction,
-            inputs.model.over_loops, inputs.table),
+            inputs.model.over_loops, inputs.table,
+            inputs.walked == nullptr ? nullptr
+                                     : &(*inputs.walked)[IndexOf(direction)]),
       found_(ScalesTold(inputs.model)) {}
 
 template <int D>
@@ -83,9 +85,8 @@ bool EndFinder<D>::IsUseless(const PathSoFar<D>& path, double least) {
   const auto falls_short = [&](const StateVector<D>& shift,
                                std::optional<std::int64_t> steps,
                                double ratio) {
-    return batch_.anchors().BoundShifted(path.slot, shift, steps) +
-               weight_ * ratio + beside <
-           least;
+    return !batch_.anchors().MayReach(path.slot, shift, steps,
+                                      least - (weight_ * ratio + beside));
   };
   return falls_short(path.shift, path.steps, path.most_ratio) &&
          falls_short(path.best_shift, std::nullopt, path.best_ratio);

@@ -59,9 +59,21 @@ std::optional<HeadingMatch> HeadingMatch::Make(const Query& query,
   return match;
 }
 
-// Nodes that are none of the history have any heading: no path leads there.
 void HeadingMatch::Bound(std::size_t block, Direction direction,
                          BlockRatios* most) const {
+  auto& known = known_[IndexOf(direction)];
+  if (known.empty()) known.resize(BlocksOf(size_));
+  if (known[block] != nullptr) {
+    *most = *known[block];
+    return;
+  }
+  Find(block, direction, most);
+  known[block] = std::make_unique<const BlockRatios>(*most);
+}
+
+// Nodes that are none of the history have any heading: no path leads there.
+void HeadingMatch::Find(std::size_t block, Direction direction,
+                        BlockRatios* most) const {
   const auto first = static_cast<NodeIndex>(block * NodeBlock::kSize);
   const NodeIndex aside = reach_ + kMostSlips;
   const NodeIndex begin =

@@ -19,6 +19,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <optional>
 #include <vector>
 
@@ -44,12 +45,14 @@ class HeadingMatch {
                                           const RecentPath<D>& recent);
 
   // For each node of a block, the most that the log-likelihood ratio of a path
-  // from it can come to.
+  // from it can come to. Remembers it; not thread-safe.
   void Bound(std::size_t block, Direction direction, BlockRatios* most) const;
 
  private:
   HeadingMatch(const HeadingBins& bins, NodeIndex history_size)
       : bins_(bins), size_(history_size) {}
+
+  void Find(std::size_t block, Direction direction, BlockRatios* most) const;
 
   const HeadingBins& bins_;
   NodeIndex size_;
@@ -58,6 +61,8 @@ class HeadingMatch {
   float least_ = 0.0F;
   // For paths back in time, and forward.
   std::array<std::vector<HeadingStep>, 2> steps_;
+  // The bounds that are known, by direction and block.
+  mutable std::array<std::vector<std::unique_ptr<const BlockRatios>>, 2> known_;
 };
 
 }  // namespace revisit::core

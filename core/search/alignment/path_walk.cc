@@ -56,14 +56,15 @@ Direction DirectionBeyond(const PoseGraph& graph, NodeIndex near, NodeIndex far,
 template <int D>
 PathWalk<D>::PathWalk(const History& history, const RecentPath<D>& recent,
                       const PathAxes<D>& axes, Direction direction,
-                      bool over_loops, PoseTable* table)
+                      bool over_loops, PoseTable* table, WalkedEnds* walked)
     : graph_(history.graph),
       recent_(recent),
       first_(history.first),
       end_(history.end),
       direction_(direction),
       table_(*table),
-      has_loops_(over_loops && graph_.has_loop_edges()) {
+      has_loops_(over_loops && graph_.has_loop_edges()),
+      walked_(has_loops_ ? nullptr : walked) {
   best_.change.certainty = axes.certainties();
   best_.change.cosine = std::cos(axes.heading());
   best_.change.sine = std::sin(axes.heading());
@@ -74,6 +75,22 @@ template <int D>
 const BestPaths& PathWalk<D>::Walk(const std::vector<WalkStart>& starts,
                                    const IsUseless& is_useless) {
   Reset();
+  for (const WalkStart& start : starts) {
+    best_.change.left_out.reset(start.slot / NodeBlock::kGroupSize);
+  }
+  if (walked_ == nullptr || tracing_) {
+    WalkFrom(starts, is_useless);
+  } else {
+    const std::vector<WalkStart>& unknown = TakeWalked(starts);
+    WalkFrom(unknown, is_useless);
+    KeepWalked(unknown);
+  }
+  return best_;
+}
+
+template <int D>
+void PathWalk<D>::WalkFrom(const std::vector<WalkStart>& starts,
+                           const IsUseless& is_useless) {
   // No step leads further than over one node.
   const NodeIndex reach = 2 * recent_.size();
   for (const WalkStart& start : starts) {
@@ -89,7 +106,42 @@ const BestPaths& PathWalk<D>::Walk(const std::vector<WalkStart>& starts,
     for (std::size_t i = 0; i < count; ++i) Seed(i, starts[begin + i]);
     WalkAll(is_useless);
   }
-  return best_;
+}
+
+// Takes the best paths of the ends that are known, and returns the others.
+template <int D>
+const std::vector<WalkStart>& PathWalk<D>::TakeWalked(
+    const std::vector<WalkStart>& starts) {
+  unknown_.clear();
+  for (const WalkStart& start : starts) {
+    const WalkedEnds::Path* const path = walked_->Find(start.end);
+    if (path == nullptr) {
+      unknown_.push_back(start);
+      continue;
+    }
+    best_.log_likelihood_ratios[start.slot] = path->log_likelihood_ratio;
+    best_.squared_innovations[start.slot] = path->squared_innovations;
+    best_.change.row[start.slot] = path->steps;
+    for (std::size_t r = 0; r < D; ++r) {
+      best_.change.shift[r][start.slot] = path->shift[r];
+    }
+  }
+  return unknown_;
+}
+
+template <int D>
+void PathWalk<D>::KeepWalked(const std::vector<WalkStart>& starts) {
+  for (const WalkStart& start : starts) {
+    if (cut_short_[start.slot]) continue;
+    WalkedEnds::Path path;
+    path.log_likelihood_ratio = best_.log_likelihood_ratios[start.slot];
+    path.squared_innovations = best_.squared_innovations[start.slot];
+    path.steps = best_.change.row[start.slot];
+    for (std::size_t r = 0; r < D; ++r) {
+      path.shift[r] = best_.change.shift[r][start.slot];
+    }
+    walked_->Keep(start.end, path);
+  }
 }
 
 template <int D>
@@ -113,6 +165,8 @@ void PathWalk<D>::Reset() {
   best_.squared_innovations.fill(0.0);
   best_.change.row.fill(0);
   for (auto& column : best_.change.shift) column.fill(0.0);
+  best_.change.left_out.set();
+  cut_short_.reset();
 }
 
 // Puts walker i, which is as Begin() left it, at its end.
@@ -155,6 +209,7 @@ void PathWalk<D>::WalkAll(const IsUseless& is_useless) {
     for (const Unsettled& unsettled : unsettled_) {
       const std::size_t i = unsettled.walker;
       const bool is_only = IsOnlyPath(i);
+      if (unsettled.hopeless && MayImprove(t, i)) CutShort(i);
       done[i] = unsettled.hopeless ? is_only : !Slip(t, unsettled, is_only);
     }
     if (after > before) Merge(before, &done);
@@ -207,6 +262,7 @@ void PathWalk<D>::GiveUp(std::int64_t t, const IsUseless& is_useless) {
     ++asked_;
     if (!is_useless(path)) continue;
     ++given_up_;
+    CutShort(i);
     Credit(i);
     walkers_.Remove(i);
   }
@@ -272,10 +328,11 @@ inline bool PathWalk<D>::Slip(std::int64_t t, const Unsettled& unsettled,
   // The log-likelihood ratio without any innovation from here on.
   const double most = walkers_.at(Walkers::kRatio, i) + step.surprise +
                       step.to_come - kSlipCost;
-  const bool slips =
-      !is_only || (most > walkers_.at(Walkers::kBestRatio, i) &&
-                   most + 0.25 * walkers_.at(Walkers::kSquared, i) >=
-                       walkers_.at(Walkers::kNeeded, i));
+  const bool may_improve = most > walkers_.at(Walkers::kBestRatio, i);
+  const bool is_needed = most + 0.25 * walkers_.at(Walkers::kSquared, i) >=
+                         walkers_.at(Walkers::kNeeded, i);
+  const bool slips = !is_only || (may_improve && is_needed);
+  if (may_improve && !is_needed) CutShort(i);
   double gained = kImpossible;
   NodeIndex nodes = 0;
   const auto consider = [&](double squared, double cost, NodeIndex on) {

@@ -29,9 +29,11 @@
 #include "core/search/alignment/path_axes.h"
 #include "core/search/alignment/pose_table.h"
 #include "core/search/alignment/recent_path.h"
+#include "core/search/alignment/search_progress.h"
 #include "core/search/alignment/shape_filter.h"
 #include "core/search/alignment/similarity_kernel.h"
 #include "core/search/alignment/walk_kernel.h"
+#include "core/search/alignment/walked_ends.h"
 
 namespace revisit::core {
 
@@ -87,10 +89,12 @@ class PathWalk {
  public:
   // `over_loops`: whether paths are walked over the history's confirmed loop
   // closures; none leads out of the history. The history's graph, the recent
-  // path, its axes there and the table, that of the history, must outlive this.
+  // path, its axes there and the table, that of the history, must outlive this,
+  // and so must `walked`: the ends from which other searches with this recent
+  // path have walked there in this direction, or null.
   PathWalk(const History& history, const RecentPath<D>& recent,
            const PathAxes<D>& axes, Direction direction, bool over_loops,
-           PoseTable* table);
+           PoseTable* table, WalkedEnds* walked = nullptr);
 
   // Whether a path is of no use, neither as it was when it was best nor however
   // it goes on.
@@ -117,6 +121,11 @@ class PathWalk {
   };
 
   void Reset();
+  const std::vector<WalkStart>& TakeWalked(
+      const std::vector<WalkStart>& starts);
+  void WalkFrom(const std::vector<WalkStart>& starts,
+                const IsUseless& is_useless);
+  void KeepWalked(const std::vector<WalkStart>& starts);
   void Seed(std::size_t i, const WalkStart& start);
   void WalkAll(const IsUseless& is_useless);
   void GiveUp(std::int64_t t, const IsUseless& is_useless);
@@ -124,6 +133,14 @@ class PathWalk {
   void WalkOver(std::int64_t t, std::size_t i, NodeIndex far);
   void CountPaths();
   bool IsOnlyPath(std::size_t i) const;
+  // Whether a walker's ratio after step t can still become its best.
+  bool MayImprove(std::int64_t t, std::size_t i) const {
+    return walkers_.at(Walkers::kRatio, i) + recent_.step(t).to_come >
+           walkers_.at(Walkers::kBestRatio, i);
+  }
+  void CutShort(std::size_t i) {
+    cut_short_.set(static_cast<std::size_t>(walkers_.at(Walkers::kEnd, i)));
+  }
   bool Slip(std::int64_t t, const Unsettled& unsettled, bool is_only);
   void Take(std::int64_t t, std::size_t i, NodeIndex to, const Drift& drift,
             double gained, double squared_innovation);
@@ -150,7 +167,14 @@ class PathWalk {
   const Direction direction_;
   PoseTable& table_;
   const bool has_loops_;
+  // Null where paths cross loop closures.
+  WalkedEnds* const walked_;
   BestPaths best_;
+  // The slots of ends whose path has ended before it could be known to be the
+  // best, since it was of no use.
+  BlockNodes cut_short_;
+  // Scratch: the ends that are not known yet.
+  std::vector<WalkStart> unknown_;
   Walkers walkers_;
   std::vector<Unsettled> unsettled_;
   // The number of paths by slot, where paths cross loop closures.

@@ -5,6 +5,7 @@
 #ifndef REVISIT_CORE_SEARCH_ALIGNMENT_RECENT_PATH_H_
 #define REVISIT_CORE_SEARCH_ALIGNMENT_RECENT_PATH_H_
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
@@ -17,6 +18,7 @@
 #include "core/search/alignment/shape_filter.h"
 #include "core/search/alignment/similarity_kernel.h"
 #include "core/search/alignment/walk_kernel.h"
+#include "core/search/alignment/walked_ends.h"
 
 namespace revisit::core {
 
@@ -47,9 +49,14 @@ class RecentPath {
 // that the second alignment need not find them anew. Starts empty; the path may
 // come from an alignment of the same query with another history.
 struct AlignmentParts {
-  // A RecentPath, and all of them.
+  // A RecentPath, and its PathAxes where the history lies as it did.
   std::shared_ptr<const void> path;
+  std::shared_ptr<const void> axes;
+  // What else they share.
   std::shared_ptr<const void> parts;
+  // The ends that were walked from, by IndexOf(direction), or null where these
+  // need not be kept.
+  std::shared_ptr<std::array<WalkedEnds, 2>> walked;
 };
 
 // The path that is kept, which is made if there is none.

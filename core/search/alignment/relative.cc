@@ -18,20 +18,17 @@
 #include "core/search/alignment/search_bounds.h"
 #include "core/search/alignment/search_inputs.h"
 #include "core/search/alignment/search_progress.h"
+#include "core/search/alignment/walked_ends.h"
 
 namespace revisit::core {
 namespace {
 
-// AlignmentParts.
+// AlignmentParts::parts.
 template <int D>
 struct Parts {
-  Parts(const Query& query, const History& history, const RelativeModel& model,
+  Parts(const Query& query, const History& history,
         std::shared_ptr<const RecentPath<D>> path)
       : recent(std::move(path)),
-        axes(*recent,
-             history.relation.InHistory(query.graph.pose(query.node)).heading,
-             static_cast<double>(StrideOf(history.size())) *
-                 model.spacing_meters),
         poses(history.graph, history.end),
         headings(HeadingMatch::Make<D>(query, history, *recent)) {}
 
@@ -40,24 +37,35 @@ struct Parts {
                                          const History& history,
                                          const RelativeModel& model,
                                          AlignmentParts* kept) {
-    if (kept != nullptr && kept->parts != nullptr) {
-      return std::static_pointer_cast<const Parts>(kept->parts);
+    if (kept->parts == nullptr) {
+      kept->parts = std::make_shared<const Parts>(
+          query, history, PathOf<D>(query, model, kept));
     }
-    AlignmentParts none;
-    auto parts = std::make_shared<const Parts>(
-        query, history, model,
-        PathOf<D>(query, model, kept == nullptr ? &none : kept));
-    if (kept != nullptr) kept->parts = parts;
-    return parts;
+    return std::static_pointer_cast<const Parts>(kept->parts);
   }
 
   const std::shared_ptr<const RecentPath<D>> recent;
-  const PathAxes<D> axes;
   // Filled in on the way.
   mutable PoseTable poses;
   // Nothing where these tell nothing.
   const std::optional<HeadingMatch> headings;
 };
+
+// The axes that are kept, which are made if there are none.
+template <int D>
+std::shared_ptr<const PathAxes<D>> AxesOf(const Query& query,
+                                          const History& history,
+                                          const RelativeModel& model,
+                                          const RecentPath<D>& recent,
+                                          AlignmentParts* kept) {
+  if (kept->axes == nullptr) {
+    kept->axes = std::make_shared<const PathAxes<D>>(
+        recent,
+        history.relation.InHistory(query.graph.pose(query.node)).heading,
+        static_cast<double>(StrideOf(history.size())) * model.spacing_meters);
+  }
+  return std::static_pointer_cast<const PathAxes<D>>(kept->axes);
+}
 
 // Where paths may cross loop closures, headings do not tell how far these can
 // go. Closures beyond the history may have been confirmed since, and the answer
@@ -73,18 +81,20 @@ template <int D>
 class Aligner {
  public:
   Aligner(const Query& query, const History& history,
-          const RelativeModel& model, const Parts<D>& parts)
-      : bounds_(query, history, model, *parts.recent, parts.axes),
+          const RelativeModel& model, const Parts<D>& parts,
+          const PathAxes<D>& axes, std::array<WalkedEnds, 2>* walked)
+      : bounds_(query, history, model, *parts.recent, axes),
         inputs_{query,
                 history,
                 model,
                 *parts.recent,
-                parts.axes,
+                axes,
                 bounds_,
                 parts.headings && TakesHeadings(model, history)
                     ? &*parts.headings
                     : nullptr,
-                &parts.poses},
+                &parts.poses,
+                walked},
         progress_(history.first, history.end) {
     const auto search_in = [this](Direction direction) {
       searches_[IndexOf(direction)] =
@@ -141,17 +151,20 @@ std::optional<RelativeAlignment> AlignIn(const Query& query,
                                          const RelativeModel& model,
                                          const ShouldStop& should_stop,
                                          AlignmentParts* kept) {
+  AlignmentParts none;
+  if (kept == nullptr) kept = &none;
   const auto parts = Parts<D>::Of(query, history, model, kept);
-  Aligner<D> aligner(query, history, model, *parts);
+  const auto axes = AxesOf<D>(query, history, model, *parts->recent, kept);
+  Aligner<D> aligner(query, history, model, *parts, *axes, kept->walked.get());
   if (!aligner.Search(should_stop)) return std::nullopt;
-  return RelativeAlignment(aligner.HandOver(), aligner.considered(),
-                           [history, parts, over_loops = model.over_loops](
-                               Direction direction, NodeIndex j) {
-                             return PathWalk<D>(history, *parts->recent,
-                                                parts->axes, direction,
-                                                over_loops, &parts->poses)
-                                 .Trace(j);
-                           });
+  return RelativeAlignment(
+      aligner.HandOver(), aligner.considered(),
+      [history, parts, axes, over_loops = model.over_loops](Direction direction,
+                                                            NodeIndex j) {
+        return PathWalk<D>(history, *parts->recent, *axes, direction,
+                           over_loops, &parts->poses)
+            .Trace(j);
+      });
 }
 
 }  // namespace

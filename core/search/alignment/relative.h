@@ -123,7 +123,8 @@ class RelativeAlignment {
 // lies in one segment, and may begin in the history; the history's graph
 // outlives the answer. `parts`, if not null, are empty or come from an
 // alignment of the same query and the same nodes of the history, whichever are
-// sought, and a model with the same similarity, shape and spacings.
+// sought, and a model with the same similarity, shape and spacings; the axes
+// also of the same relation.
 std::optional<RelativeAlignment> AlignRelative(const Query& query,
                                                const History& history,
                                                const RelativeModel& model,

@@ -2,6 +2,8 @@
 #ifndef REVISIT_CORE_SEARCH_ALIGNMENT_SEARCH_INPUTS_H_
 #define REVISIT_CORE_SEARCH_ALIGNMENT_SEARCH_INPUTS_H_
 
+#include <array>
+
 #include "core/search/alignment/heading_match.h"
 #include "core/search/alignment/history.h"
 #include "core/search/alignment/path_axes.h"
@@ -10,6 +12,7 @@
 #include "core/search/alignment/recent_path.h"
 #include "core/search/alignment/relative_model.h"
 #include "core/search/alignment/search_bounds.h"
+#include "core/search/alignment/walked_ends.h"
 
 namespace revisit::core {
 
@@ -27,6 +30,8 @@ struct SearchInputs {
   const HeadingMatch* headings;
   // The poses of the history, filled in on the way.
   PoseTable* table;
+  // The ends that were walked from, by IndexOf(direction), or null.
+  std::array<WalkedEnds, 2>* walked;
 };
 
 }  // namespace revisit::core

@@ -391,10 +391,11 @@ HWY_INLINE void StoreState(const State<D>& state, std::size_t i,
 template <int D, Form kForm>
 HWY_INLINE void FindAll(const KernelQuery& query, const NodeBlock& block,
                         const NodeBlock& next, const BlockShares* shares,
-                        DifferenceBlock* differences) {
+                        DifferenceBlock* differences, const EntryRange& range) {
   const Rows rows(block, next);
-  const std::size_t entries = std::min(EntriesOf(block), differences->count);
-  for (std::size_t i = 0; i < entries; i += hn::Lanes(Tag())) {
+  const std::size_t entries =
+      std::min({EntriesOf(block), differences->count, range.last});
+  for (std::size_t i = range.first; i < entries; i += hn::Lanes(Tag())) {
     StoreState<D>(FindState<D, kForm>(query, rows, shares, i), i, differences);
   }
 }
@@ -403,25 +404,27 @@ template <int D>
 HWY_INLINE void FindDifferencesIn(const KernelQuery& query,
                                   const NodeBlock& block, const NodeBlock& next,
                                   const BlockShares* shares,
-                                  DifferenceBlock* differences) {
+                                  DifferenceBlock* differences,
+                                  const EntryRange& range) {
   if (query.tied != nullptr) {
-    FindAll<D, Form::kTied>(query, block, next, shares, differences);
+    FindAll<D, Form::kTied>(query, block, next, shares, differences, range);
   } else if (query.form == DifferenceForm::kGrown) {
-    FindAll<D, Form::kGrown>(query, block, next, shares, differences);
+    FindAll<D, Form::kGrown>(query, block, next, shares, differences, range);
   } else if (shares == nullptr) {
-    FindAll<D, Form::kSummed>(query, block, next, shares, differences);
+    FindAll<D, Form::kSummed>(query, block, next, shares, differences, range);
   } else {
-    FindAll<D, Form::kSharesSummed>(query, block, next, shares, differences);
+    FindAll<D, Form::kSharesSummed>(query, block, next, shares, differences,
+                                    range);
   }
 }
 
 void FindDifferences(const KernelQuery& query, const NodeBlock& block,
                      const NodeBlock& next, const BlockShares* shares,
-                     DifferenceBlock* differences) {
+                     DifferenceBlock* differences, const EntryRange& range) {
   if (query.state_space == StateSpace::kPlanar) {
-    FindDifferencesIn<3>(query, block, next, shares, differences);
+    FindDifferencesIn<3>(query, block, next, shares, differences, range);
   } else {
-    FindDifferencesIn<4>(query, block, next, shares, differences);
+    FindDifferencesIn<4>(query, block, next, shares, differences, range);
   }
 }
 
@@ -455,12 +458,13 @@ HWY_INLINE void AddCross(const KnownDriftTerms::LoopNode& a, double sign,
 template <int D>
 HWY_INLINE void TakeAll(const KnownDriftTerms& terms, const NodeBlock& block,
                         const BlockColumn& indices,
-                        DifferenceBlock* differences) {
+                        DifferenceBlock* differences, const EntryRange& range) {
   const Tag tag;
   constexpr int h = D - 1;
   const Rows rows(block, block);
-  const std::size_t entries = std::min(EntriesOf(block), differences->count);
-  for (std::size_t i = 0; i < entries; i += hn::Lanes(tag)) {
+  const std::size_t entries =
+      std::min({EntriesOf(block), differences->count, range.last});
+  for (std::size_t i = range.first; i < entries; i += hn::Lanes(tag)) {
     const Vector index = hn::LoadU(tag, indices.data() + i);
     const auto earlier = [&](const KnownDriftTerms::LoopNode& a) HWY_ATTR {
       return hn::Le(index, hn::Set(tag, static_cast<double>(a.index)));
@@ -528,11 +532,11 @@ HWY_INLINE void TakeAll(const KnownDriftTerms& terms, const NodeBlock& block,
 
 void TakeKnownDrift(const KnownDriftTerms& terms, StateSpace state_space,
                     const NodeBlock& block, const BlockColumn& indices,
-                    DifferenceBlock* differences) {
+                    DifferenceBlock* differences, const EntryRange& range) {
   if (state_space == StateSpace::kPlanar) {
-    TakeAll<3>(terms, block, indices, differences);
+    TakeAll<3>(terms, block, indices, differences, range);
   } else {
-    TakeAll<4>(terms, block, indices, differences);
+    TakeAll<4>(terms, block, indices, differences, range);
   }
 }
 
@@ -575,6 +579,7 @@ HWY_INLINE void EvaluateAllChanged(const DifferenceBlock& differences,
   const Vector sine = hn::Set(tag, change.sine);
   const Vector kept = hn::Set(tag, 1.0 - change.least_left);
   for (std::size_t i = 0; i < differences.count; i += hn::Lanes(tag)) {
+    if (change.left_out[i / NodeBlock::kGroupSize]) continue;
     const auto row = hn::Load(index_tag, change.row.data() + i);
     // The row's first entry: row times kMostEntries.
     const auto at = hn::Add(hn::ShiftLeft<3>(row), hn::ShiftLeft<1>(row));
@@ -733,16 +738,16 @@ void EvaluateBlock(const KernelQuery& query, const NodeBlock& block,
 
 void FindDifferences(const KernelQuery& query, const NodeBlock& block,
                      const NodeBlock& next, const BlockShares* shares,
-                     DifferenceBlock* differences) {
+                     DifferenceBlock* differences, const EntryRange& range) {
   HWY_DYNAMIC_DISPATCH(FindDifferences)
-  (query, block, next, shares, differences);
+  (query, block, next, shares, differences, range);
 }
 
 void TakeKnownDrift(const KnownDriftTerms& terms, StateSpace state_space,
                     const NodeBlock& block, const BlockColumn& indices,
-                    DifferenceBlock* differences) {
+                    DifferenceBlock* differences, const EntryRange& range) {
   HWY_DYNAMIC_DISPATCH(TakeKnownDrift)
-  (terms, state_space, block, indices, differences);
+  (terms, state_space, block, indices, differences, range);
 }
 
 void EvaluateDifferences(StateSpace state_space,

@@ -10,6 +10,7 @@
 #define REVISIT_CORE_SEARCH_ALIGNMENT_SIMILARITY_KERNEL_H_
 
 #include <array>
+#include <bitset>
 #include <cstddef>
 #include <cstdint>
 
@@ -82,10 +83,17 @@ struct alignas(64) DifferenceBlock {
   std::size_t count = NodeBlock::kSize;
 };
 
-// Finds the differences that EvaluateBlock() evaluates.
+// Entries [first, last) of a block, in whole groups of NodeBlock::kGroupSize.
+struct EntryRange {
+  std::size_t first = 0;
+  std::size_t last = NodeBlock::kSize;
+};
+
+// Finds the differences that EvaluateBlock() evaluates, of these entries.
 void FindDifferences(const KernelQuery& query, const NodeBlock& block,
                      const NodeBlock& next, const BlockShares* shares,
-                     DifferenceBlock* differences);
+                     DifferenceBlock* differences,
+                     const EntryRange& range = {});
 
 // The inputs of KnownDrift::Apply(), in the order of the state.
 struct KnownDriftTerms {
@@ -103,12 +111,12 @@ struct KnownDriftTerms {
   double variance_scale = 1.0;
 };
 
-// KnownDrift::Apply() for the nodes of a block, whose indices in the graph are
-// `indices`. Where the covariance that is left would be ill-conditioned,
+// KnownDrift::Apply() for these nodes of a block, whose indices in the graph
+// are `indices`. Where the covariance that is left would be ill-conditioned,
 // nothing changes.
 void TakeKnownDrift(const KnownDriftTerms& terms, StateSpace state_space,
                     const NodeBlock& block, const BlockColumn& indices,
-                    DifferenceBlock* differences);
+                    DifferenceBlock* differences, const EntryRange& range = {});
 
 // Evaluates the differences as they are, with exponent 1/2. kImpossible where
 // ill-conditioned.
@@ -120,6 +128,8 @@ void EvaluateDifferences(StateSpace state_space,
 // `certainty` (kMostEntries per row) is subtracted from its covariance, and
 // shift k, turned about z by the angle of this cosine and sine, is added to it.
 struct DifferenceChange {
+  // Groups of NodeBlock::kGroupSize entries of which none is of interest.
+  std::bitset<NodeBlock::kSize / NodeBlock::kGroupSize> left_out;
   const double* certainty = nullptr;
   double cosine = 1.0;
   double sine = 0.0;
@@ -132,7 +142,7 @@ struct DifferenceChange {
 
 // Evaluates the differences once changed. `similarity` holds the results of
 // EvaluateDifferences(), which stay where a changed difference would be
-// ill-conditioned.
+// ill-conditioned, and in groups that are left out.
 void EvaluateChanged(StateSpace state_space, const DifferenceBlock& differences,
                      const DifferenceChange& change,
                      BlockSimilarity* similarity);

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/search/alignment/exponential_sum.h"
 #include "core/search/alignment/log_similarity.h"
 #include "core/search/belief/mark.h"
 
@@ -14,7 +15,11 @@ namespace revisit::core {
 inline double LogAdd(double a, double b) {
   const double greater = std::max(a, b);
   if (greater == kImpossible) return greater;
-  return greater + std::log1p(std::exp(std::min(a, b) - greater));
+  const double less = std::min(a, b) - greater;
+  // What is added is less than half of the last bit of a number that is not
+  // small itself.
+  if (less < -kNegligible && std::abs(greater) >= 1.0) return greater;
+  return greater + std::log1p(std::exp(less));
 }
 
 // The logarithm of the sum over all scales. REQUIRES: one is not kImpossible.

@@ -88,10 +88,9 @@ absl::StatusOr<MarkEvidence> SearchMark(const SearchTask& task) {
         for (const Direction direction : Directions(task.options.direction)) {
           const std::size_t ends = alignment.ends(direction).size();
           AddOdds(alignment, direction, 0, ends, &all);
-          if (history.relation.is_own()) {
-            AddOdds(alignment, direction, 0, ends, &own);
-          }
         }
+        // The own recording comes first.
+        if (history.relation.is_own()) own = all;
         const auto end = MostProbable(alignment, task.options.direction);
         if (!end || !(end->score > best)) return;
         best = end->score;

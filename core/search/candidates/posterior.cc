@@ -6,14 +6,9 @@
 #include <utility>
 #include <vector>
 
+#include "core/search/alignment/exponential_sum.h"
+
 namespace revisit::core {
-namespace {
-
-// A term that is smaller than a sum by this factor, as a logarithm, is less
-// than half of the sum's last bit: 54 ln 2 is 37.4.
-constexpr double kNegligible = 38.0;
-
-}  // namespace
 
 Posterior::Posterior(std::vector<LogOdds> histories,
                      double stretch_radius_meters)
