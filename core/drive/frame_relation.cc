@@ -48,6 +48,15 @@ StateMatrix<4> ErrorSince(const PoseGraph& graph,
 
 double Squared(double scale) { return scale * scale; }
 
+// Swung() and Turned() of a part of an error: most relations lack most parts.
+StateMatrix<4> SwungPart(const StateMatrix<4>& part, const Pose& earlier,
+                         const Pose& later) {
+  return part.isZero(0.0) ? part : Swung<4>(part, earlier, later);
+}
+StateMatrix<4> TurnedPart(const StateMatrix<4>& part, double angle) {
+  return part.isZero(0.0) ? part : Turned<4>(part, angle);
+}
+
 // P.
 StateMatrix<4> ErrorOf(const FrameRelation& relation, double fixed_scale,
                        double drift_scale) {
@@ -76,8 +85,8 @@ FrameRelation Reversed(const FrameNodes& nodes, const FrameRelation& relation) {
       relation.asking_node ? nodes.graph.pose(*relation.asking_node) : at;
   for (StateMatrix<4>* part :
        {&reversed.fixed, &reversed.drift, &reversed.known_drift}) {
-    *part = Turned<4>(Swung<4>(*part, at, reversed.place),
-                      -relation.transform.heading);
+    *part = TurnedPart(SwungPart(*part, at, reversed.place),
+                       -relation.transform.heading);
   }
   return reversed;
 }
@@ -96,11 +105,11 @@ FrameRelation Compose(const FrameNodes& nodes, const FrameRelation& to_v,
   const Pose at = Compose(composed.transform, composed.place);
   const Pose before = Compose(to_v.transform, to_v.place);
   composed.fixed =
-      Swung<4>(to_v.fixed, before, at) + Turned<4>(from_v.fixed, turn);
+      SwungPart(to_v.fixed, before, at) + TurnedPart(from_v.fixed, turn);
   composed.drift =
-      Swung<4>(to_v.drift, before, at) + Turned<4>(from_v.drift, turn);
-  composed.known_drift = Swung<4>(to_v.known_drift, before, at) +
-                         Turned<4>(from_v.known_drift, turn);
+      SwungPart(to_v.drift, before, at) + TurnedPart(from_v.drift, turn);
+  composed.known_drift = SwungPart(to_v.known_drift, before, at) +
+                         TurnedPart(from_v.known_drift, turn);
   if (to_v.other_node && from_v.asking_node) {
     const Pose leaving =
         Compose(to_v.transform, nodes.graph.pose(*from_v.asking_node));

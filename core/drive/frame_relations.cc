@@ -1,9 +1,10 @@
 #include "core/drive/frame_relations.h"
 
 #include <algorithm>
+#include <cassert>
 #include <functional>
-#include <iterator>
 #include <limits>
+#include <numeric>
 #include <queue>
 #include <string>
 #include <utility>
@@ -44,6 +45,17 @@ FrameRelations::FrameRelations(const FrameNodes& nodes,
   AddDrive(nodes, recordings, query, loops);
 }
 
+FrameRelations::FrameRelations(const FrameRelations* base, std::size_t first,
+                               std::size_t last)
+    : base_(base),
+      cut_first_(first),
+      cut_last_(last),
+      edges_(base->frames()),
+      recordings_(base->recordings_),
+      shared_(base->shared_) {
+  assert(base->base_ == nullptr && base->frames() > 0);
+}
+
 std::size_t FrameRelations::AddDrive(const FrameNodes& nodes,
                                      const Recordings& recordings,
                                      NodeIndex query,
@@ -53,7 +65,7 @@ std::size_t FrameRelations::AddDrive(const FrameNodes& nodes,
   nodes_.push_back(nodes);
   const std::size_t count = recordings.Of(query) + 1;
   const std::size_t first = AddFrames(count, drive);
-  if (drive == 0) {
+  if (drive == 0 && base_ == nullptr) {
     recordings_ = count;
     shared_ = AddFrames(1, drive);
   }
@@ -78,28 +90,10 @@ void FrameRelations::AddLink(std::size_t from, std::size_t to,
   AddLoop(from, to, link);
 }
 
-void FrameRelations::Cut(std::size_t first, std::size_t last) {
-  const auto is_cut = [&](std::size_t frame) {
-    return first <= frame && frame < last;
-  };
-  for (std::size_t frame = 0; frame < edges_.size(); ++frame) {
-    std::vector<Edge>& edges = edges_[frame];
-    edges.erase(std::remove_if(edges.begin(), edges.end(),
-                               [&](const Edge& edge) {
-                                 return is_cut(frame) || is_cut(edge.to);
-                               }),
-                edges.end());
-  }
-  for (auto links = links_.begin(); links != links_.end();) {
-    const auto& [from, to] = links->first;
-    links = is_cut(from) || is_cut(to) ? links_.erase(links) : std::next(links);
-  }
-}
-
 std::size_t FrameRelations::AddFrames(std::size_t count, std::size_t drive) {
   const std::size_t first = edges_.size();
   edges_.resize(first + count);
-  drive_of_.resize(first + count, drive);
+  drive_of_.resize(edges_.size() - frames_of_base(), drive);
   return first;
 }
 
@@ -152,17 +146,27 @@ void FrameRelations::AddDatum(const RecordingStart& start, std::size_t frame,
   }
   // Whoever has the datum too errs alike: the datum has a frame of its own,
   // which errs in the shared one.
-  const auto [known, is_new] =
-      datum_frames_.try_emplace(start.datum_id, edges_.size());
+  const auto [datum_frame, is_new] =
+      DatumFrame(start.datum_id, drive_of_[frame - frames_of_base()]);
   if (is_new) {
-    AddFrames(1, drive_of_[frame]);
     FrameRelation datum;
     datum.state = FrameState::kDatum;
     datum.place = shared.place;
     datum.fixed = error;
-    Add(known->second, shared_, datum);
+    Add(datum_frame, shared_, datum);
   }
-  Add(frame, known->second, shared);
+  Add(frame, datum_frame, shared);
+}
+
+std::pair<std::size_t, bool> FrameRelations::DatumFrame(const std::string& name,
+                                                        std::size_t drive) {
+  if (base_ != nullptr) {
+    const auto known = base_->datum_frames_.find(name);
+    if (known != base_->datum_frames_.end()) return {known->second, false};
+  }
+  const auto [known, is_new] = datum_frames_.try_emplace(name, frames());
+  if (is_new) AddFrames(1, drive);
+  return {known->second, is_new};
 }
 
 void FrameRelations::AddLoop(std::size_t from, std::size_t to,
@@ -177,7 +181,8 @@ void FrameRelations::AddLoop(std::size_t from, std::size_t to,
   const RelatedFrames frames = Between(from, to);
   if (tied == edges_[from].end()) {
     // A closure that contradicts what others have tied leaves it as it is.
-    const FrameRelation by = TiedBy(frames, From(from)[to], loop, 1.0);
+    const FrameRelation by =
+        TiedBy(frames, From(from, {to}).front(), loop, 1.0);
     if (by.links > 0) Add(from, to, by);
     return;
   }
@@ -187,33 +192,91 @@ void FrameRelations::AddLoop(std::size_t from, std::size_t to,
 }
 
 std::vector<FrameRelation> FrameRelations::From(std::size_t asking) const {
-  std::vector<FrameRelation> relations(edges_.size());
-  std::vector<double> unsure(edges_.size(),
-                             std::numeric_limits<double>::infinity());
-  std::vector<char> done(edges_.size());
-  relations[asking].state = FrameState::kSame;
-  unsure[asking] = 0.0;
+  std::vector<std::size_t> places(frames());
+  std::iota(places.begin(), places.end(), std::size_t{0});
+  return Reach(asking, places, places.size());
+}
+
+std::vector<FrameRelation> FrameRelations::From(
+    std::size_t asking, const std::vector<std::size_t>& others) const {
+  std::vector<std::size_t> ends = others;
+  ends.push_back(asking);
+  const std::vector<std::size_t> places = PlacesAmong(ends);
+  const auto count =
+      places.size() - static_cast<std::size_t>(std::count(
+                          places.begin(), places.end(), kPassedOver));
+  const std::vector<FrameRelation> reached = Reach(asking, places, count);
+  std::vector<FrameRelation> relations;
+  relations.reserve(others.size());
+  for (const std::size_t other : others) {
+    relations.push_back(reached[places[other]]);
+  }
+  return relations;
+}
+
+// A way that enters a frame with one edge ends there. Without such frames,
+// others have one edge.
+std::vector<std::size_t> FrameRelations::PlacesAmong(
+    const std::vector<std::size_t>& ends) const {
+  std::vector<std::size_t> places(frames());
+  std::vector<std::size_t> edges(frames());
+  std::vector<std::size_t> blind;
+  const auto pass_over = [&](std::size_t frame) {
+    if (edges[frame] > 1 || places[frame] != 0) return;
+    places[frame] = kPassedOver;
+    blind.push_back(frame);
+  };
+  constexpr std::size_t kIsEnd = 1;
+  for (const std::size_t end : ends) places[end] = kIsEnd;
+  for (std::size_t frame = 0; frame < frames(); ++frame) {
+    VisitEdges(frame, [&](const Edge&) { ++edges[frame]; });
+    pass_over(frame);
+  }
+  while (!blind.empty()) {
+    const std::size_t frame = blind.back();
+    blind.pop_back();
+    VisitEdges(frame, [&](const Edge& edge) {
+      --edges[edge.to];
+      pass_over(edge.to);
+    });
+  }
+  std::size_t next = 0;
+  for (std::size_t& place : places) {
+    if (place != kPassedOver) place = next++;
+  }
+  return places;
+}
+
+std::vector<FrameRelation> FrameRelations::Reach(
+    std::size_t asking, const std::vector<std::size_t>& places,
+    std::size_t count) const {
+  std::vector<FrameRelation> relations(count);
+  std::vector<double> unsure(count, std::numeric_limits<double>::infinity());
+  std::vector<char> done(count);
+  relations[places[asking]].state = FrameState::kSame;
+  unsure[places[asking]] = 0.0;
   using Reached = std::pair<double, std::size_t>;
   std::priority_queue<Reached, std::vector<Reached>, std::greater<>> next;
   next.push({0.0, asking});
   while (!next.empty()) {
     const std::size_t frame = next.top().second;
     next.pop();
-    if (done[frame]) continue;
-    done[frame] = 1;
-    for (const Edge& edge : edges_[frame]) {
-      if (done[edge.to]) continue;
+    if (done[places[frame]]) continue;
+    done[places[frame]] = 1;
+    VisitEdges(frame, [&](const Edge& edge) {
+      const std::size_t to = places[edge.to];
+      if (to == kPassedOver || done[to]) return;
       const FrameRelation relation =
-          frame == asking
-              ? edge.relation
-              : Compose(NodesOf(frame), relations[frame], edge.relation);
+          frame == asking ? edge.relation
+                          : Compose(NodesOf(frame), relations[places[frame]],
+                                    edge.relation);
       // Written so that NaN leads nowhere.
       const double sure = VarianceOf(relation);
-      if (!(sure < unsure[edge.to])) continue;
-      unsure[edge.to] = sure;
-      relations[edge.to] = relation;
+      if (!(sure < unsure[to])) return;
+      unsure[to] = sure;
+      relations[to] = relation;
       next.push({sure, edge.to});
-    }
+    });
   }
   return relations;
 }
@@ -221,8 +284,10 @@ std::vector<FrameRelation> FrameRelations::From(std::size_t asking) const {
 const std::vector<ConfirmedLoop>& FrameRelations::LinksBetween(
     std::size_t from, std::size_t to) const {
   static const auto* const kNone = new std::vector<ConfirmedLoop>();
+  if (IsCut(from) || IsCut(to)) return *kNone;
   const auto links = links_.find({from, to});
-  return links == links_.end() ? *kNone : links->second;
+  if (links != links_.end()) return links->second;
+  return base_ == nullptr ? *kNone : base_->LinksBetween(from, to);
 }
 
 }  // namespace revisit::core

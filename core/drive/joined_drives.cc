@@ -118,19 +118,23 @@ std::optional<std::size_t> JoinedDrives::FrameAt(
   return *first + view(drive).recordings.Of(node);
 }
 
+FrameRelations JoinedDrives::FramesWithout(std::optional<std::size_t> asking,
+                                           const FrameNodes& nodes) const {
+  const Kind* const kind = FindKind(nodes);
+  if (kind == nullptr) return {};
+  const auto frame = asking ? FrameOf(*asking, nodes) : std::nullopt;
+  if (!frame) return {&kind->relations, 0, 0};
+  return {&kind->relations, *frame, *frame + CountRecordings(view(*asking))};
+}
+
 SeenFrames JoinedDrives::SeenFrom(const FrameNodes& nodes,
                                   const Recordings& recordings, NodeIndex query,
                                   const std::vector<ConfirmedLoop>& loops,
                                   std::optional<std::size_t> asking) const {
-  const Kind* const kind = FindKind(nodes);
-  SeenFrames seen{kind == nullptr ? FrameRelations() : kind->relations, 0};
+  SeenFrames seen{FramesWithout(asking, nodes), 0};
   if (!asking) {
     seen.own = seen.relations.AddDrive(nodes, recordings, query, loops);
     return seen;
-  }
-  if (const auto frame = FrameOf(*asking, nodes)) {
-    const DriveView& before = view(*asking);
-    seen.relations.Cut(*frame, *frame + CountRecordings(before));
   }
   seen.own = seen.relations.AddDrive(nodes, recordings, query, loops,
                                      drives_[*asking].datum.get());

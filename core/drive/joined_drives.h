@@ -81,7 +81,7 @@ class JoinedDrives {
   // recordings up to the query, and its loops, which are given, and links whose
   // own nodes lie at or before the query; its view does not count. `asking` is
   // its index; nothing where it is none of these. The graph of `nodes`, and
-  // this, must outlive the answer. O(frames + edges), and as much again for
+  // this, must outlive the answer. O(frames + links), and O(frames + edges) for
   // each frame to which the asking drive has links.
   SeenFrames SeenFrom(const FrameNodes& nodes, const Recordings& recordings,
                       NodeIndex query, const std::vector<ConfirmedLoop>& loops,
@@ -123,6 +123,10 @@ class JoinedDrives {
   std::optional<std::size_t> FrameAt(std::size_t drive, NodeIndex node,
                                      const FrameNodes& seen_from) const;
   const Kind* FindKind(const FrameNodes& nodes) const;
+  // The frames that a drive with these nodes sees, without those of the view of
+  // the asking one.
+  FrameRelations FramesWithout(std::optional<std::size_t> asking,
+                               const FrameNodes& nodes) const;
   Kind& KindOf(const FrameNodes& nodes);
 
   void PoolMotion(const JoinedDrives* before);

@@ -123,6 +123,7 @@ void OtherDrives::AddHistories(const FrameRelations& frames,
                                const Asking& asking, GrowthOfOthers* growth,
                                std::vector<History>* histories) const {
   growth->Enter(scope_.drives);
+  histories->reserve(histories->size() + searched_.size());
   for (const std::size_t d : searched_) {
     const DriveView& view = scope_.drives->view(d);
     const std::size_t first = *scope_.drives->FrameOf(d, asking.nodes);

@@ -80,8 +80,12 @@ class Ratios {
 
   // Adds those of every `stride`-th node from `first` on.
   void Add(const History& history, NodeIndex first, NodeIndex stride) {
-    if (first >= history.end) return;
+    std::vector<NodeIndex> ends;
     const Elsewhere<D> elsewhere(query_, history, model_);
+    for (NodeIndex j = first; j < history.end; j += stride) {
+      if (elsewhere.Has(j)) ends.push_back(j);
+    }
+    if (ends.empty()) return;
     PoseTable table(history.graph, history.end);
     for (const Direction direction : {Direction::kSame, Direction::kOpposite}) {
       if (!(direction == Direction::kSame ? model_.same_direction
@@ -91,8 +95,8 @@ class Ratios {
       PathWalk<D> walk(history, recent_, axes_, direction, model_.over_loops,
                        &table);
       std::vector<WalkStart> starts;
-      for (NodeIndex j = first; j < history.end; j += stride) {
-        if (elsewhere.Has(j)) starts.push_back({j, kImpossible, starts.size()});
+      for (const NodeIndex j : ends) {
+        starts.push_back({j, kImpossible, starts.size()});
         if (starts.size() == NodeBlock::kSize) Walk(&walk, &starts);
       }
       Walk(&walk, &starts);

@@ -10,21 +10,29 @@
 
 namespace revisit::core {
 
-Relation::Relation(const RelatedFrames& frames, const FrameRelation& tie,
-                   std::vector<WeighedDrift> drifts) {
-  std::vector<FrameWay> ways;
-  if (!tie.is_tied()) {
-    ways = {{0.0, 1.0, true}};
-  } else if (tie.state == FrameState::kAfter ||
-             tie.state == FrameState::kDatum) {
-    ways = {{std::log1p(-kTailShare), 1.0, false},
-            {std::log(kTailShare), kTailVariance, false}};
-  } else {
-    ways = {{0.0, 1.0, false}};
-  }
-  other_ = std::make_shared<const Other>(
-      Other{frames, tie, std::move(ways), std::move(drifts)});
+namespace {
+
+// Each is made once: a search of many drives has a relation to each of them.
+const std::vector<FrameWay>& WaysOf(const FrameRelation& tie) {
+  static const auto* const kUnknown =
+      new std::vector<FrameWay>{{0.0, 1.0, true}};
+  static const auto* const kTold =
+      new std::vector<FrameWay>{{std::log1p(-kTailShare), 1.0, false},
+                                {std::log(kTailShare), kTailVariance, false}};
+  static const auto* const kShown =
+      new std::vector<FrameWay>{{0.0, 1.0, false}};
+  if (!tie.is_tied()) return *kUnknown;
+  const bool is_told =
+      tie.state == FrameState::kAfter || tie.state == FrameState::kDatum;
+  return is_told ? *kTold : *kShown;
 }
+
+}  // namespace
+
+Relation::Relation(const RelatedFrames& frames, const FrameRelation& tie,
+                   std::vector<WeighedDrift> drifts)
+    : other_(std::make_shared<const Other>(
+          Other{frames, tie, &WaysOf(tie), std::move(drifts)})) {}
 
 Pose Relation::InHistory(const Pose& pose) const {
   if (is_own() || !other_->tie.is_tied()) return pose;

@@ -130,7 +130,7 @@ class Relation {
   const RelatedFrames& frames() const { return other_->frames; }
   // The frames as they are tied, and the ways in which they may lie for it.
   const FrameRelation& tie() const { return other_->tie; }
-  const std::vector<FrameWay>& ways() const { return other_->ways; }
+  const std::vector<FrameWay>& ways() const { return *other_->ways; }
   // The ways that marks have shown.
   const std::vector<WeighedDrift>& drifts() const { return other_->drifts; }
   // The tie as the newest pair of a drift has shown it. Takes O(1), and is
@@ -154,7 +154,8 @@ class Relation {
   struct Other {
     RelatedFrames frames;
     FrameRelation tie;
-    std::vector<FrameWay> ways;
+    // Outlives this.
+    const std::vector<FrameWay>* ways;
     std::vector<WeighedDrift> drifts;
   };
 

@@ -124,11 +124,14 @@ class RelativeSearch {
         histories.begin(), histories.end(),
         [](const History& history) { return history.drive.has_value(); });
     if (other == histories.end()) return;
-    across_.log_chance_ratio = LogChanceRatio(
-        task_.across, histories, across_,
-        task_.parts == nullptr ? nullptr
-                               : &(*task_.parts)[static_cast<std::size_t>(
-                                     other - histories.begin())]);
+    AlignmentParts none;
+    AlignmentParts& parts = task_.parts == nullptr
+                                ? none
+                                : (*task_.parts)[static_cast<std::size_t>(
+                                      other - histories.begin())];
+    if (parts.path == nullptr) parts.path = passed_over_.path.path;
+    across_.log_chance_ratio =
+        LogChanceRatio(task_.across, histories, across_, &parts);
   }
 
   const ShapeMatch& MatchOf(const RankedPlace& place) const {

@@ -24,8 +24,14 @@ bool AreAlongside(const RankedPlace& a, const RankedPlace& b) {
 class Rivals::Passes {
  public:
   Passes(const std::vector<History>& histories, const FrameRelations* frames,
-         const RelativeModel& model)
-      : histories_(histories), frames_(frames), model_(model) {}
+         const RelativeModel& model, const std::vector<RankedPlace>& places)
+      : histories_(histories), frames_(frames), model_(model) {
+    for (const RankedPlace& place : places) {
+      asked_.push_back(histories[place.history].frame);
+    }
+    std::sort(asked_.begin(), asked_.end());
+    asked_.erase(std::unique(asked_.begin(), asked_.end()), asked_.end());
+  }
 
   double Same(const RankedPlace& a, const RankedPlace& b) {
     const double ratio =
@@ -37,20 +43,27 @@ class Rivals::Passes {
                                   a.end.matched, b.end.matched, ratio,
                                   histories_[a.history].known_scale);
     }
-    auto relations = relations_.find(from);
-    if (relations == relations_.end()) {
-      relations = relations_.emplace(from, frames_->From(from)).first;
-    }
-    return SamePlaceAcross(frames_->Between(from, to), relations->second[to],
+    return SamePlaceAcross(frames_->Between(from, to), RelationOf(from, to),
                            frames_->LinksBetween(from, to), model_,
                            a.end.matched, b.end.matched, ratio);
   }
 
  private:
+  const FrameRelation& RelationOf(std::size_t from, std::size_t to) {
+    auto relations = relations_.find(from);
+    if (relations == relations_.end()) {
+      relations = relations_.emplace(from, frames_->From(from, asked_)).first;
+    }
+    const auto at = std::lower_bound(asked_.begin(), asked_.end(), to);
+    return relations->second[static_cast<std::size_t>(at - asked_.begin())];
+  }
+
   const std::vector<History>& histories_;
   const FrameRelations* const frames_;
   const RelativeModel& model_;
-  // The relations of a frame to all others, once they were asked for.
+  // The frames of all places, sorted.
+  std::vector<std::size_t> asked_;
+  // The relations of a frame to these, once one was asked for.
   std::map<std::size_t, std::vector<FrameRelation>> relations_;
 };
 
@@ -58,7 +71,7 @@ Rivals::Rivals(const std::vector<History>& histories,
                const FrameRelations* frames, const RelativeModel& model,
                std::vector<RankedPlace> places, std::size_t answered)
     : places_(std::move(places)) {
-  Passes passes(histories, frames, model);
+  Passes passes(histories, frames, model, places_);
   for (const RankedPlace& place : places_) {
     least_claimed_ = std::max(least_claimed_, kLeastRivalShare * place.claimed);
   }

@@ -5,6 +5,8 @@
 #include <memory>
 #include <optional>
 #include <random>
+#include <string>
+#include <utility>
 #include <vector>
 
 #include "core/drive/drive.h"
@@ -328,6 +330,139 @@ TEST(JoinedDrivesTest, TheAskingDriveIsSeenAsItIsNow) {
   // Its view is not seen beside it.
   EXPECT_EQ(ties[*joined->FrameOf(0, a.frame_nodes())].state,
             FrameState::kNone);
+}
+
+// Drives of one or two recordings, most of which a datum places.
+std::vector<Drive> RandomDrives(std::mt19937_64& random, std::size_t count) {
+  std::vector<Drive> drives;
+  while (drives.size() < count) {
+    const auto any_start = [&]() -> std::shared_ptr<const RecordingStart> {
+      auto start =
+          DatumAt({Uniform(random, -50.0, 50.0), Normal(random, 50.0), 0.0,
+                   Uniform(random, -3.0, 3.0)},
+                  Uniform(random, 0.1, 30.0), Uniform(random, 0.001, 0.3));
+      const int kind = UniformInt(random, 0, 5);
+      if (kind == 0) start->relation = RecordingRelation::kUnknown;
+      if (kind == 1) start->relation = RecordingRelation::kAfter;
+      if (kind == 2) start->datum_id = "datum " + std::to_string(drives.size());
+      return start;
+    };
+    Drive drive{DriveSettings{}};
+    for (int k = UniformInt(random, 1, 2); k > 0; --k) {
+      drive.Append(
+          RecordingOf(Part(0, 100), any_start(), drive.last_sequence()),
+          drive.revision() + 1);
+    }
+    drives.push_back(std::move(drive));
+  }
+  return drives;
+}
+
+// Links of this drive to others, or, where it is nothing, of any two.
+std::vector<FrameLink> RandomLinks(std::mt19937_64& random,
+                                   const std::vector<Drive>& drives, int most,
+                                   std::optional<std::size_t> of) {
+  std::vector<FrameLink> links;
+  const auto count = static_cast<int>(drives.size());
+  const auto node_of = [&](std::size_t drive) {
+    return static_cast<NodeIndex>(UniformInt(
+        random, 0, static_cast<int>(drives[drive].graph().size()) - 1));
+  };
+  for (int i = UniformInt(random, 0, most); i > 0; --i) {
+    const std::size_t a =
+        of ? *of : static_cast<std::size_t>(UniformInt(random, 0, count - 1));
+    const std::size_t b =
+        (a + static_cast<std::size_t>(UniformInt(random, 1, count - 1))) %
+        drives.size();
+    links.push_back({a, b, {node_of(a), node_of(b), nullptr}});
+    if (UniformInt(random, 0, 1)) {
+      FrameLink& link = links.back();
+      std::swap(link.query_drive, link.matched_drive);
+      std::swap(link.loop.query, link.loop.matched);
+    }
+  }
+  return links;
+}
+
+std::vector<const Drive*> PointersTo(const std::vector<Drive>& drives) {
+  std::vector<const Drive*> pointers;
+  for (const Drive& drive : drives) pointers.push_back(&drive);
+  return pointers;
+}
+
+TEST(JoinedDrivesTest, FramesAreSeenAsIfTheAskingDriveHadNoView) {
+  std::mt19937_64 random = SeededRandom();
+  const Drive empty{DriveSettings{}};
+  std::size_t tied = 0;
+  for (int trial = 0; trial < 40; ++trial) {
+    const std::vector<Drive> drives = RandomDrives(random, 5);
+    const auto asking = static_cast<std::size_t>(UniformInt(random, 0, 4));
+    const Drive& drive = drives[asking];
+    // Links between others would be tied over the view too.
+    const auto links = RandomLinks(random, drives, 6, asking);
+    const auto with_view = Join(PointersTo(drives), links);
+    std::vector<const Drive*> others = PointersTo(drives);
+    others[asking] = &empty;
+    const auto without = Join(others, links);
+    const auto query = static_cast<NodeIndex>(
+        UniformInt(random, 0, static_cast<int>(drive.graph().size()) - 1));
+    const SeenFrames seen = SeenBy(*with_view, drive, asking, query);
+    const SeenFrames wanted = SeenBy(*without, drive, asking, query);
+    const std::size_t own = drive.recordings().Of(query);
+    const auto ties = seen.relations.From(seen.own + own);
+    const auto wanted_ties = wanted.relations.From(wanted.own + own);
+    for (std::size_t d = 0; d < drives.size(); ++d) {
+      const std::size_t recordings =
+          d == asking ? own + 1 : drives[d].recordings().size();
+      for (std::size_t k = 0; k < recordings; ++k) {
+        const auto frame = [&](const JoinedDrives& joined,
+                               const SeenFrames& frames) {
+          return k + (d == asking ? frames.own
+                                  : *joined.FrameOf(d, drive.frame_nodes()));
+        };
+        const FrameRelation& tie = ties[frame(*with_view, seen)];
+        EXPECT_TRUE(AreEqual(tie, wanted_ties[frame(*without, wanted)]))
+            << trial << ": " << d << ", " << k;
+        if (tie.is_tied()) ++tied;
+      }
+    }
+    // The view is tied to nothing, and no links lead to it.
+    const std::size_t of_view =
+        *with_view->FrameOf(asking, drive.frame_nodes());
+    EXPECT_FALSE(ties[of_view].is_tied());
+    for (std::size_t frame = 0; frame < ties.size(); ++frame) {
+      EXPECT_TRUE(seen.relations.LinksBetween(of_view, frame).empty());
+      EXPECT_TRUE(seen.relations.LinksBetween(frame, of_view).empty());
+    }
+  }
+  EXPECT_GT(tied, 100u);
+}
+
+TEST(JoinedDrivesTest, RelationsToSomeFramesAreThoseAmongRelationsToAll) {
+  std::mt19937_64 random = SeededRandom();
+  std::size_t tied = 0;
+  for (int trial = 0; trial < 40; ++trial) {
+    const std::vector<Drive> drives = RandomDrives(random, 7);
+    const auto joined =
+        Join(PointersTo(drives), RandomLinks(random, drives, 8, std::nullopt));
+    const SeenFrames seen = SeenBy(*joined, drives[2], 2);
+    const std::size_t frames = seen.relations.From(0).size();
+    const auto any = [&] {
+      return static_cast<std::size_t>(
+          UniformInt(random, 0, static_cast<int>(frames) - 1));
+    };
+    const std::size_t from = any();
+    std::vector<std::size_t> others;
+    for (int i = UniformInt(random, 1, 4); i > 0; --i) others.push_back(any());
+    const auto all = seen.relations.From(from);
+    const auto some = seen.relations.From(from, others);
+    ASSERT_EQ(some.size(), others.size());
+    for (std::size_t i = 0; i < others.size(); ++i) {
+      EXPECT_TRUE(AreEqual(some[i], all[others[i]])) << trial << ": " << i;
+      if (others[i] != from && some[i].is_tied()) ++tied;
+    }
+  }
+  EXPECT_GT(tied, 20u);
 }
 
 TEST(JoinedDrivesTest, AMembersDatumPlacesItsFirstRecording) {
