@@ -9,6 +9,8 @@ import {type Deed, type Decision, keyOfPair, type Pair, pairName} from
     '../data/decisions.js';
 import type {VehicleStore} from '../data/vehicle.js';
 import {count, instant, moment} from '../parts/format.js';
+import {doIf, KeyedButtons} from '../parts/keyed_buttons.js';
+import {useKeys} from '../parts/keys.js';
 import {go} from '../route.js';
 import {linkTo} from './drive.js';
 
@@ -99,6 +101,7 @@ export function DecisionPanel({store, pair, queue}: Props) {
   const decision = store.decisionAbout(pair);
   const last = book.lastMade();
   const busy = book.isBusy(key);
+  const mayDecide = !decision && !busy;
   const outcome = book.lastAt(key);
   const isAsked = asked.value?.at === key && asked.value.name === last?.name;
 
@@ -107,12 +110,10 @@ export function DecisionPanel({store, pair, queue}: Props) {
     if (next) go(linkTo(store, next));
   };
   const decide = (act: 'confirm'|'reject') => {
-    if (decision || busy) return;
     void book.decide(act, pair);
     if (advances.value) step(1);
   };
   const undo = () => {
-    if (busy) return;
     if (decision) {
       void book.undo(decision, key);
     } else if (last && isAsked) {
@@ -123,36 +124,12 @@ export function DecisionPanel({store, pair, queue}: Props) {
     }
   };
 
-  const keys: Record<string, () => void> = {
-    c: () => decide('confirm'),
-    r: () => decide('reject'),
-    u: undo,
-    j: () => step(1),
-    k: () => step(-1),
+  useKeys({
     n: () => note.current?.focus(),
     a: () => setAdvances(!advances.value),
-  };
-  const latest = useRef(keys);
-  latest.current = keys;
-  // From when the panel is there: an effect that waits for a frame would lose the
-  // key of somebody who presses it as soon as the buttons are seen.
-  useLayoutEffect(() => {
-    const onKey = (event: KeyboardEvent) => {
-      const target = event.target as HTMLElement;
-      if (event.key === 'Escape') target.blur();
-      if (event.ctrlKey || event.metaKey || event.altKey || event.repeat ||
-          target.closest('input:not([type=checkbox]), textarea, select')) {
-        return;
-      }
-      const act = latest.current[event.key];
-      if (event.key !== 'u') asked.value = undefined;
-      if (!act) return;
-      event.preventDefault();
-      act();
-    };
-    addEventListener('keydown', onKey);
-    return () => removeEventListener('keydown', onKey);
-  }, []);
+  }, pressed => {
+    if (pressed !== 'u') asked.value = undefined;
+  });
   // Another pair, another place for the focus: the next Tab leads to its note.
   // At once, since somebody who types fast may be in the note before a frame.
   useLayoutEffect(() => panel.current?.focus({preventScroll: true}), [key]);
@@ -170,36 +147,24 @@ export function DecisionPanel({store, pair, queue}: Props) {
                value={book.drafts.notes.value.get(key) ?? ''}
                onInput={event => book.drafts.set(key,
                                                  event.currentTarget.value)}
-               readOnly={decision !== undefined || busy} />
+               readOnly={!mayDecide} />
       </label>
-      <div class="buttons">
-        <button type="button" class="confirm" disabled={!!decision || busy}
-                onClick={() => decide('confirm')}>
-          Confirm <kbd>c</kbd>
-        </button>
-        <button type="button" class="reject" disabled={!!decision || busy}
-                onClick={() => decide('reject')}>
-          Reject <kbd>r</kbd>
-        </button>
-        <button type="button" disabled={busy || (!decision && !last)}
-                onClick={undo}>
-          {decision ? 'Undo' : last ? `Undo ${pairName(last)}…` : 'Undo'
-          } <kbd>u</kbd>
-        </button>
-        <button type="button" disabled={queue.length === 0}
-                onClick={() => step(-1)}>
-          Previous <kbd>k</kbd>
-        </button>
-        <button type="button" disabled={queue.length === 0}
-                onClick={() => step(1)}>
-          Next <kbd>j</kbd>
-        </button>
+      <KeyedButtons buttons={[
+        {key: 'c', text: 'Confirm', looks: 'confirm',
+         act: doIf(mayDecide, () => decide('confirm'))},
+        {key: 'r', text: 'Reject', looks: 'reject',
+         act: doIf(mayDecide, () => decide('reject'))},
+        {key: 'u', text: !decision && last ? `Undo ${pairName(last)}…` : 'Undo',
+         act: doIf(!busy && (decision ?? last) !== undefined, undo)},
+        {key: 'k', text: 'Previous', act: doIf(queue.length > 0, () => step(-1))},
+        {key: 'j', text: 'Next', act: doIf(queue.length > 0, () => step(1))},
+      ]}>
         <label class="check">
           <input type="checkbox" checked={advances.value}
                  onChange={event => setAdvances(event.currentTarget.checked)} />
           Next one after a decision <kbd>a</kbd>
         </label>
-      </div>
+      </KeyedButtons>
       <p role="status" class={outcome?.state === 'failed' ? 'error' : ''}>
         {isAsked && last && !decision ?
           `The last decision of this page is ${last.kind} ${pairName(last)
