@@ -125,9 +125,14 @@ test('a link is told by its poses, with who added it when', () => {
     matched: {vehicle: 'vehicles/b', sequence: 7n},
     createTime: {seconds: 2n, nanos: 5e8}, note: 'seen',
     decidedBy: 'token:me'});
-  assert.equal(links.linkName(made), 'a@1200 – b@7');
+  assert.equal(links.posesName(made), 'a@1200 – b@7');
   assert.deepEqual([made.time, made.by, made.note, made.measurement],
                    [2500, 'token:me', 'seen', undefined]);
+  assert.equal(made.kind, 'linked');
+  assert.equal(links.asRejection({
+    name: 'groups/g/rejectedCandidates/x', note: '', decidedBy: '',
+    query: {vehicle: 'vehicles/a', sequence: 1n},
+    matched: {vehicle: 'vehicles/b', sequence: 7n}}).kind, 'rejected');
 });
 
 test('a link is drawn where both of its frames are placed', () => {
@@ -234,7 +239,7 @@ test('a link of a search is found again, whichever way round it was added',
     [[link('a@90', 'b@7')], true], [[link('b@7', 'a@90')], true],
     [[link('a@90', 'b@8')], false], [[link('a@7', 'b@90')], false],
     [[link('a@90', 'c@7')], false], [[], false]]) {
-    assert.equal(found.linkOf(list, across) !== undefined, wanted);
+    assert.equal(found.decisionOf(list, across) !== undefined, wanted);
   }
   const partial = reason => found.isPartial({unsearched: [{reason}]});
   assert.deepEqual([partial(NOT_READY), partial(STATE_SPACE)], [true, false]);

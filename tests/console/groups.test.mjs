@@ -1,17 +1,15 @@
 // Groups of vehicles: the list, the members of one in one map, a search across
 // vehicles, and the links that follow from it.
 import assert from 'node:assert/strict';
-import {readFileSync, writeFileSync} from 'node:fs';
+import {writeFileSync} from 'node:fs';
 import {join} from 'node:path';
 import {after, before, test} from 'node:test';
 
-import {DRIVE, fact, isAccessible, Issuer, OUT, pixels, track, until, World}
+import {fact, isAccessible, Issuer, OUT, pixels, track, until, World, writeDays}
     from './world.mjs';
 
 const WIDTHS = [1440, 390];
 const TRACKS = 60;
-/** The second day of the shipped drive begins behind this time. */
-const SECOND_DAY = 2e6;
 const GROUP_CALLS = '**/revisit.v1.PoseGraphService/';
 const POLICY = {
   version: 1,
@@ -35,29 +33,10 @@ function cli(...args) {
                             ...args);
 }
 
-/** Both days of the shipped drive, each in a frame of its own. */
-function writeDays() {
-  const rows = readFileSync(DRIVE, 'utf8').trim().split('\n')
-                   .map(line => line.split(','));
-  const [head, ...poses] = rows.map(
-      row => [row[1], row[5], row[6], row[7]]);
-  const days = [poses.filter(([t]) => Number(t) < SECOND_DAY),
-                poses.filter(([t]) => Number(t) >= SECOND_DAY)];
-  const [, x0, y0] = days[1][0].map(Number);
-  const moved = days[1].map(
-      ([t, x, y, yaw]) => [t, Number(x) - x0, Number(y) - y0, yaw]);
-  return [days[0], moved].map((day, i) => {
-    const file = join(world.directory, `day-${i}.csv`);
-    writeFileSync(file, [head, ...day].map(row => row.join()).join('\n') +
-        '\n');
-    return file;
-  });
-}
-
 before(async () => {
   world = await World.make(directory => issuer.flags(directory, POLICY));
   writeFileSync(join(world.directory, 'token'), issuer.token('operator'));
-  const [seven, eight] = writeDays();
+  const [seven, eight] = writeDays(world.directory);
   for (const [id, file] of [['fleet-seven', seven], ['fleet-eight', eight]]) {
     cli('stream', file, '--create', '--vehicle', id);
   }
@@ -80,7 +59,7 @@ async function open(path, {subject = 'operator', ...options} = {}) {
   page = await world.open(path, {...options, ...as(subject)});
 }
 
-const table = name => page.getByRole('table', {name});
+const table = name => page.getByRole('table', {name, exact: true});
 
 /** The row of a table with this text in it. */
 function row(name, text) {
@@ -96,6 +75,8 @@ function memberSays(vehicle, pattern) {
 
 const links = () => cli('link', 'list', 'fleet-depot', '--json').loopClosures ??
     [];
+const rejections = () => cli('link', 'list', 'fleet-depot', '--rejected',
+                             '--json').rejectedCandidates ?? [];
 
 /** Looks at the page at all widths and in both themes, and leaves pictures. */
 async function isFine(path, name, ready) {
@@ -238,6 +219,69 @@ test('a candidate in another vehicle is confirmed by a key, with its note, and '
   await page.getByText('Nobody has linked two members.').waitFor();
 });
 
+test('a candidate in another vehicle is rejected by a key, with its note, and ' +
+     'undone by another', async () => {
+  await open('/groups/fleet-depot?asked=fleet-eight');
+  await table('Candidates').locator('tbody tr.chosen').waitFor();
+  await page.getByText('Nobody has rejected a candidate between two members.')
+      .waitFor();
+  await page.keyboard.press('n');
+  await page.keyboard.type('another crossing');
+  assert.deepEqual(rejections(), []);
+  await page.keyboard.press('Escape');
+  await page.keyboard.press('r');
+  await page.getByText(/^Rejected fleet-eight@\d+ – fleet-seven@\d+\./)
+      .waitFor();
+  const [rejected] = rejections();
+  assert.equal(rejected.note, 'another crossing');
+  assert.equal(rejected.decidedBy, 'token:operator');
+  assert.deepEqual(links(), []);
+  assert.match(
+      await row('Rejected candidates', 'another crossing').innerText(),
+      /fleet-eight@\d+\s+fleet-seven@\d+\s.*token:operator/s);
+  assert.match(await table('Candidates').locator('tr.chosen').innerText(),
+               /rejected by token:operator/);
+  await page.locator('.state-line', {hasText: ': rejected by token:operator'})
+      .waitFor();
+  for (const name of [/^Confirm/, /^Reject/]) {
+    assert.ok(await page.getByRole('button', {name}).isDisabled());
+  }
+  // It is decided, so no key decides it once more.
+  await page.keyboard.press('c');
+  await until(async () => await fact(page, 'Rejected') === '1', 'one counted');
+  await page.keyboard.press('u');
+  await page.getByText(/is rejected fleet-eight@.*: u once more deletes it\.$/)
+      .waitFor();
+  assert.equal(rejections().length, 1);
+  await page.keyboard.press('u');
+  await page.getByText(/^Deleted the rejection of fleet-eight@/).waitFor();
+  assert.deepEqual([links(), rejections()], [[], []]);
+  assert.ok(await page.getByRole('button', {name: /^Undo/}).isDisabled());
+});
+
+test('the last decision of the page is undone first, be it a link or a rejection',
+     async () => {
+  await open('/groups/fleet-depot?asked=fleet-eight&own=off');
+  await table('Candidates').locator('tbody tr.chosen').waitFor();
+  await page.keyboard.press('r');
+  await page.getByText(/^Rejected fleet-/).waitFor();
+  await page.locator('.state-line', {hasText: 'rejected'}).waitFor();
+  await search('fleet-eight', '700');
+  await page.locator('.state-line', {hasText: /@\d+$/}).waitFor();
+  await page.keyboard.press('Escape');
+  await page.keyboard.press('c');
+  await page.getByText(/^Linked fleet-/).waitFor();
+  const undo = async () => {
+    await page.keyboard.press('u');
+    await page.getByText(/: u once more deletes it\.$/).waitFor();
+    await page.keyboard.press('u');
+    await page.getByText(/^Deleted the /).waitFor();
+    return [links().length, rejections().length];
+  };
+  assert.deepEqual(await undo(), [0, 1]);
+  assert.deepEqual(await undo(), [0, 0]);
+});
+
 test('one link places the other member, dashed; three that agree, solid',
      async () => {
   await open('/groups/fleet-depot');
@@ -297,6 +341,27 @@ test('a link is deleted by a button that is pressed twice', async () => {
               'one link fewer');
 });
 
+test('a rejection of somebody else is seen, and deleted in its table', async () => {
+  await open('/groups/fleet-depot');
+  await page.getByText('Nobody has rejected a candidate between two members.')
+      .waitFor();
+  cli('link', 'reject', 'fleet-depot', 'fleet-eight@500', 'fleet-seven@100',
+      '--note', 'a bridge above');
+  await row('Rejected candidates', 'a bridge above').waitFor();
+  await isFine('/groups/fleet-depot?asked=fleet-eight', 'rejected',
+               'table[aria-label="Rejected candidates"] tbody a');
+  await open('/groups/fleet-depot');
+  const before = links().length;
+  await page.getByRole('button', {
+    name: 'Delete fleet-eight@500 – fleet-seven@100'}).click();
+  assert.equal(rejections().length, 1);
+  await page.getByRole('button', {name: /^Really delete/}).click();
+  await page.getByText('Deleted the rejection of fleet-eight@500').waitFor();
+  assert.deepEqual(rejections(), []);
+  assert.equal(links().length, before);
+  await until(async () => await fact(page, 'Rejected') === '0', 'none counted');
+});
+
 test('whoever may only read is told so, and changes nothing', async () => {
   const before = links().length;
   await open('/groups/fleet-depot?asked=fleet-eight@500',
@@ -305,12 +370,16 @@ test('whoever may only read is told so, and changes nothing', async () => {
   await page.keyboard.press('c');
   await page.locator('.error', {hasText: /was not linked: .*permission denied/})
       .waitFor();
+  await page.keyboard.press('r');
+  await page.locator('.error', {
+    hasText: /was not rejected: .*permission denied/}).waitFor();
   const button = page.getByRole('button', {name: /^Delete /}).first();
   await button.click();
   await page.getByRole('button', {name: /^Really delete/}).click();
   await page.locator('.error', {hasText: /was not deleted: .*permission/})
       .waitFor();
   assert.equal(links().length, before);
+  assert.deepEqual(rejections(), []);
 });
 
 test('members that the caller may not read are no part of the page', async () => {
@@ -389,7 +458,8 @@ test('a server that reads histories is not taken for one that is away',
   await page.getByText('Map in the frame of fleet-eight').waitFor();
 });
 
-test('a server without groups, or without their frames, is told as such',
+test('a server without groups, or without their frames or rejections, is told ' +
+     'as such',
      async () => {
   const unknown = route => route.fulfill({
     status: 501, contentType: 'application/json',
@@ -401,6 +471,14 @@ test('a server without groups, or without their frames, is told as such',
       .waitFor();
   assert.equal(await page.locator('.map').count(), 0);
   await memberSays('fleet-seven', /not told/);
+  await page.route(`${GROUP_CALLS}ListInterVehicleRejectedCandidates`, unknown);
+  await page.goto(`${world.console.url}/groups/fleet-depot?asked=fleet-eight@500`);
+  await page.getByText(/rejects no candidates between\s+vehicles/).waitFor();
+  await table('Candidates').locator('tbody tr.chosen').waitFor();
+  await row('Links', 'fleet-seven').first().waitFor();
+  assert.ok(await page.getByRole('button', {name: /^Confirm/}).isEnabled());
+  assert.ok(await page.getByRole('button', {name: /^Reject/}).isDisabled());
+  assert.equal(await page.locator('main .error').count(), 0);
   await page.route(`${GROUP_CALLS}ListGroups`, unknown);
   await page.goto(`${world.console.url}/groups`);
   await page.getByText('This revisitd is of a version without groups.')

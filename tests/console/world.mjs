@@ -319,6 +319,28 @@ export function track(...starts) {
       points.join('\n') + '\n</trkseg></trk></gpx>\n';
 }
 
+/** The second day of the shipped drive begins behind this time. */
+const SECOND_DAY = 2e6;
+
+/** Files of both days of the shipped drive, each in a frame of its own. */
+export function writeDays(directory) {
+  const rows = readFileSync(DRIVE, 'utf8').trim().split('\n')
+                   .map(line => line.split(','));
+  const [head, ...poses] = rows.map(
+      row => [row[1], row[5], row[6], row[7]]);
+  const days = [poses.filter(([t]) => Number(t) < SECOND_DAY),
+                poses.filter(([t]) => Number(t) >= SECOND_DAY)];
+  const [, x0, y0] = days[1][0].map(Number);
+  const moved = days[1].map(
+      ([t, x, y, yaw]) => [t, Number(x) - x0, Number(y) - y0, yaw]);
+  return [days[0], moved].map((day, i) => {
+    const file = join(directory, `day-${i}.csv`);
+    writeFileSync(file, [head, ...day].map(row => row.join()).join('\n') +
+        '\n');
+    return file;
+  });
+}
+
 const ISSUER = 'https://login.example';
 const AUDIENCE = 'revisit';
 

@@ -23,7 +23,9 @@ const UNARY: DescMethodUnary[] = [
   calls.deleteRejectedCandidate, calls.listDeletedPosePairs, calls.listPoses,
   calls.getGroup, calls.listGroups, calls.listGroupMembers,
   calls.addInterVehicleLoopClosure, calls.listInterVehicleLoopClosures,
-  calls.deleteInterVehicleLoopClosure, calls.listFrameTransforms,
+  calls.deleteInterVehicleLoopClosure, calls.rejectInterVehicleCandidate,
+  calls.listInterVehicleRejectedCandidates,
+  calls.deleteInterVehicleRejectedCandidate, calls.listFrameTransforms,
   calls.getServerInfo, Health.method.check,
 ];
 const STREAMS: DescMethodServerStreaming[] =

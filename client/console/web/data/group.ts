@@ -1,19 +1,27 @@
 // One group as the page knows it, kept up to date while somebody looks.
-import {batch, signal} from '@preact/signals';
+import {batch, computed, type Signal, signal} from '@preact/signals';
 
 import type {Group, GroupMember} from '../../gen/revisit/v1/group_pb.js';
 import {messageOf, repeat, service} from './client.js';
-import {asLink, type Link, linkName, type PosePlace} from './group_links.js';
-import {listLinks, listMembers} from './group_lists.js';
+import {link, reject, takeBack} from './group_decisions.js';
+import {type GroupDecision, type Link, type PosePair, posesName} from
+    './group_links.js';
+import {listLinks, listMembers, listRejections} from './group_lists.js';
 import {versionOf} from './groups.js';
 
 const POLL_MILLISECONDS = 1000;
 
-/** What came of the last link that was added or deleted here. */
+/** What came of the last decision that was made or deleted here. */
 export interface Outcome {
   text: string;
   failed: boolean;
 }
+
+/** What a decision does from now on. */
+const EFFECTS: Record<GroupDecision['kind'], string> = {
+  linked: 'Later searches build on it.',
+  rejected: 'Searches in the group offer it no more.',
+};
 
 export class GroupStore {
   readonly name: string;
@@ -21,17 +29,22 @@ export class GroupStore {
   /** Those that the caller may read; undefined until they were. */
   readonly members = signal<GroupMember[]|undefined>(undefined);
   readonly links = signal<Link[]>([]);
-  /** Why members or links are missing. */
+  readonly rejections = signal<GroupDecision[]>([]);
+  readonly decisions = computed<GroupDecision[]>(
+      () => [...this.links.value, ...this.rejections.value]);
+  /** Whether the server is of a version that rejects nothing between members. */
+  readonly isWithoutRejections = signal(false);
+  /** Why members or decisions are missing. */
   readonly damage = signal<string|undefined>(undefined);
   readonly error = signal<string|undefined>(undefined);
   readonly outcome = signal<Outcome|undefined>(undefined);
-  /** Whether a link is being added or deleted. */
+  /** Whether a decision is being made or deleted. */
   readonly isBusy = signal(false);
   private readonly end: () => void;
-  /** The versionOf() the group whose members and links are here. */
+  /** The versionOf() the group whose members and decisions are here. */
   private listed = '';
   private changes = 0;
-  /** Names of links that were added here, the last at the end. */
+  /** Names of decisions that were made here, the last at the end. */
   private readonly made = signal<string[]>([]);
 
   constructor(id: string) {
@@ -52,6 +65,7 @@ export class GroupStore {
       const isNew = version !== this.listed;
       const members = isNew && await listMembers(this.name);
       const links = isNew && await listLinks(this.name);
+      const rejections = isNew && await listRejections(this.name);
       // The lists may be older than what was changed here meanwhile.
       if (changes !== this.changes) return;
       batch(() => {
@@ -59,7 +73,10 @@ export class GroupStore {
           this.listed = version;
           this.members.value = members.items;
           this.links.value = links.items;
-          this.damage.value = members.damage ?? links.damage;
+          this.isWithoutRejections.value = rejections === undefined;
+          this.rejections.value = rejections ? rejections.items : [];
+          this.damage.value = members.damage ?? links.damage ??
+              (rejections ? rejections.damage : undefined);
         }
         this.group.value = group;
         this.error.value = undefined;
@@ -70,40 +87,46 @@ export class GroupStore {
     }
   }
 
-  /** The last link that was added in this page and is still there. */
-  lastMade(): Link|undefined {
-    const links = new Map(this.links.value.map(link => [link.name, link]));
-    return this.made.value.map(name => links.get(name))
-        .filter(link => link !== undefined).at(-1);
+  /** The last decision that was made in this page and still stands. */
+  lastMade(): GroupDecision|undefined {
+    const all = new Map(this.decisions.value.map(made => [made.name, made]));
+    return this.made.value.map(name => all.get(name))
+        .filter(made => made !== undefined).at(-1);
   }
 
-  /** Ties the two vehicles at these poses, which somebody has found to be one
-   * place. Returns whether that was done. */
-  add(query: PosePlace, matched: PosePlace, note: string): Promise<boolean> {
-    const pose = ({vehicle, sequence}: PosePlace) => ({
-      vehicle: `vehicles/${vehicle}`, sequence: BigInt(sequence)});
-    const name = linkName({query, matched});
-    return this.run(`${name} was not linked`, async () => {
-      const {loopClosure} = await service.addInterVehicleLoopClosure({
-        parent: this.name,
-        loopClosure: {query: pose(query), matched: pose(matched), note},
-      });
-      const link = asLink(loopClosure!);
-      this.links.value = [
-        ...this.links.value.filter(other => other.name !== link.name), link];
-      this.made.value = [...this.made.value, link.name];
-      return `Linked ${name}. Later searches build on it.`;
+  /** Decides about two poses. Returns whether that was done. */
+  decide(kind: GroupDecision['kind'], poses: PosePair, note: string):
+      Promise<boolean> {
+    const name = posesName(poses);
+    return this.run(`${name} was not ${kind}`, async () => {
+      if (kind === 'linked') {
+        this.keep(this.links, await link(this.name, poses, note));
+      } else {
+        this.keep(this.rejections, await reject(this.name, poses, note));
+      }
+      return `${kind === 'linked' ? 'Linked' : 'Rejected'} ${name}. ${
+          EFFECTS[kind]}`;
     });
   }
 
-  /** Deletes a link, whoever has added it. Returns whether that was done. */
-  remove(link: Link): Promise<boolean> {
-    return this.run(`${linkName(link)} was not deleted`, async () => {
-      await service.deleteInterVehicleLoopClosure({name: link.name});
-      this.links.value =
-          this.links.value.filter(({name}) => name !== link.name);
-      return `Deleted the link ${linkName(link)}.`;
+  /** Deletes a decision, whoever has made it. Returns whether that was done. */
+  remove(decision: GroupDecision): Promise<boolean> {
+    const {kind, name} = decision;
+    const poses = posesName(decision);
+    return this.run(`${poses} was not deleted`, async () => {
+      await takeBack(decision);
+      const isOther = (one: GroupDecision) => one.name !== name;
+      this.links.value = this.links.value.filter(isOther);
+      this.rejections.value = this.rejections.value.filter(isOther);
+      return `Deleted the ${kind === 'linked' ? 'link' : 'rejection of'} ${
+          poses}.`;
     });
+  }
+
+  private keep<Decision extends GroupDecision>(list: Signal<Decision[]>,
+                                               made: Decision): void {
+    list.value = [...list.value.filter(({name}) => name !== made.name), made];
+    this.made.value = [...this.made.value, made.name];
   }
 
   /** One change after the other: a second one while the first is under way is

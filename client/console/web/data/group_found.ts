@@ -1,12 +1,11 @@
 // Results of a search in the histories of a group's members.
 import {type Candidate, type CandidateSet, UnsearchedReason} from
     '../../gen/revisit/v1/candidate_pb.js';
-import {type Link, type PosePlace, vehicleId} from './group_links.js';
+import {type GroupDecision, type PosePair, type PosePlace, vehicleId} from
+    './group_links.js';
 
 /** A candidate of a search in a group. */
-export interface GroupFound {
-  query: PosePlace;
-  matched: PosePlace;
+export interface GroupFound extends PosePair {
   candidate: Candidate;
   /** Whether it is in the history of another vehicle than the one that asked. */
   isAcross: boolean;
@@ -25,15 +24,14 @@ export function foundIn(vehicle: string, set: CandidateSet): GroupFound[] {
   }));
 }
 
-/** The link of just these two poses, either way round. */
-export function linkOf(links: readonly Link[],
-                       {query, matched}: Pick<GroupFound, 'query'|'matched'>):
-    Link|undefined {
+/** The decision about just these two poses, either way round. */
+export function decisionOf(decisions: readonly GroupDecision[],
+                           {query, matched}: PosePair): GroupDecision|undefined {
   const isSame = (a: PosePlace, b: PosePlace) =>
       a.vehicle === b.vehicle && a.sequence === b.sequence;
-  return links.find(link =>
-      (isSame(link.query, query) && isSame(link.matched, matched)) ||
-      (isSame(link.query, matched) && isSame(link.matched, query)));
+  return decisions.find(made =>
+      (isSame(made.query, query) && isSame(made.matched, matched)) ||
+      (isSame(made.query, matched) && isSame(made.matched, query)));
 }
 
 /** Whether histories are still being read that were not searched. */

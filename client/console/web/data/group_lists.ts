@@ -3,7 +3,8 @@ import {Code, ConnectError} from '@connectrpc/connect';
 
 import type {GroupMember} from '../../gen/revisit/v1/group_pb.js';
 import {allPages, messageOf, service} from './client.js';
-import {asLink, type Link} from './group_links.js';
+import {asLink, asRejection, type GroupDecision, type Link} from
+    './group_links.js';
 
 const PAGE_SIZE = 1000;
 
@@ -47,4 +48,19 @@ export function listLinks(parent: string): Promise<Listed<Link>> {
       pageToken => service.listInterVehicleLoopClosures(
           {parent, pageToken, pageSize: PAGE_SIZE}),
       page => page.loopClosures.map(asLink));
+}
+
+/** The candidates between members that were rejected, and that the caller may
+ * read; undefined where the server is of a version that has none. */
+export async function listRejections(parent: string):
+    Promise<Listed<GroupDecision>|undefined> {
+  try {
+    return await pagesTillDamage(
+        pageToken => service.listInterVehicleRejectedCandidates(
+            {parent, pageToken, pageSize: PAGE_SIZE}),
+        page => page.rejectedCandidates.map(asRejection));
+  } catch (error) {
+    if (ConnectError.from(error).code !== Code.Unimplemented) throw error;
+    return undefined;
+  }
 }

@@ -21,7 +21,8 @@ import {useTitle} from '../title.js';
 import {coloursOf, placeLink, posesOfLinks, sceneOfGroup} from
     './group_map.js';
 import {SearchPanel} from './group_search.js';
-import {LinkTable, memberRows, MemberTable} from './group_tables.js';
+import {LinkTable, memberRows, MemberTable, RejectionTable} from
+    './group_tables.js';
 
 /** Members whose paths are read until somebody asks for more. */
 const PATHS_AT_ONCE = 50;
@@ -170,6 +171,7 @@ export function GroupView({id}: {id: string}) {
   const facts: Fact[] = [
     ['Members', count(members.length)],
     ['Links', count(links.length)],
+    ['Rejected', count(store.rejections.value.length)],
     ['Revision', count(group?.revision ?? 0)],
   ];
   return (
@@ -226,6 +228,13 @@ export function GroupView({id}: {id: string}) {
             <h2>Links</h2>
             <LinkTable store={store} placed={placed} pointed={pointed}
                        onPoint={setPointed} />
+            <h2>Rejected candidates</h2>
+            {store.isWithoutRejections.value ? (
+              <p class="hint" role="status">
+                This revisitd is of a version that rejects no candidates between
+                vehicles.
+              </p>
+            ) : <RejectionTable store={store} />}
           </div>
         </div>
       )}

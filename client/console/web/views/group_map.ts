@@ -3,7 +3,7 @@
 import {FrameState} from '../../gen/revisit/v1/recording_pb.js';
 import {type Frames, frameAt, isExact, isKnown, type MemberFrame, onMap} from
     '../data/group_frames.js';
-import {type Link, linkName, type PosePlace} from '../data/group_links.js';
+import {type Link, posesName, type PosePlace} from '../data/group_links.js';
 import type {MemberPath} from '../data/group_paths.js';
 import {type Colour, dots, marks, type PlaceName, RECORDING_COLOURS,
         type Scene, type Shape, strokes, type Things} from '../draw/scene.js';
@@ -200,7 +200,7 @@ function thingsOf(at: (i: number) => PlacedLink): Things {
         at(i).link.query.sequence}`,
     tip: i => {
       const {link, apart} = at(i);
-      return `${linkName(link)}, ${length(apart)} apart${
+      return `${posesName(link)}, ${length(apart)} apart${
           link.note ? `: ${link.note}` : ''}`;
     },
     key: i => at(i).link.name,

@@ -1,13 +1,16 @@
-// A search in a group from one of its members, and what follows from it.
+// A search in a group from one of its members, and what is decided about its
+// candidates.
 import {useEffect, useRef, useState} from 'preact/hooks';
 
 import {type CandidateSet, EmptyReason} from
     '../../gen/revisit/v1/candidate_pb.js';
 import type {GroupStore} from '../data/group.js';
-import {type GroupFound, linkOf} from '../data/group_found.js';
-import {linkName, placeName} from '../data/group_links.js';
+import {decisionOf, type GroupFound} from '../data/group_found.js';
+import {type GroupDecision, placeName, posesName} from
+    '../data/group_links.js';
 import type {Asked, GroupSearch} from '../data/group_search.js';
 import {count, probability, words} from '../parts/format.js';
+import {doIf, KeyedButtons} from '../parts/keyed_buttons.js';
 import {useKeys} from '../parts/keys.js';
 import {type Column, Table} from '../parts/table.js';
 import {go} from '../route.js';
@@ -31,8 +34,8 @@ function addressOf({query, matched, isAcross}: GroupFound, asked: Asked):
 
 function stateText(store: GroupStore, found: GroupFound): string {
   if (!found.isAcross) return 'its own';
-  const link = linkOf(store.links.value, found);
-  return !link ? '' : link.by ? `linked by ${link.by}` : 'linked';
+  const made = decisionOf(store.decisions.value, found);
+  return !made ? '' : made.by ? `${made.kind} by ${made.by}` : made.kind;
 }
 
 function columnsFor(store: GroupStore, asked: Asked):
@@ -130,7 +133,19 @@ function Form({members, asked, onAsk}: Pick<Props, 'members'|'asked'|'onAsk'>) {
   );
 }
 
-/** A search, its candidates, and links made of them, by keyboard too. */
+/** What the panel says of the candidate that is chosen. */
+function stateLine(store: GroupStore, current: GroupFound|undefined): string {
+  if (!current) return 'No candidate is chosen.';
+  const name = posesName(current);
+  if (!current.isAcross) {
+    return `${name} is in the vehicle’s own history: it is decided in its own ` +
+        'view.';
+  }
+  const state = stateText(store, current);
+  return state ? `${name}: ${state}` : name;
+}
+
+/** A search, its candidates, and decisions about them, by keyboard too. */
 export function SearchPanel(
     {store, search, members, asked, found, onAsk, pointed, onPoint}: Props) {
   const note = useRef<HTMLInputElement>(null);
@@ -143,8 +158,8 @@ export function SearchPanel(
   const key = current && keyOfFound(current);
   const busy = store.isBusy.value;
   const last = store.lastMade();
-  const link = current && linkOf(store.links.value, current);
-  const mayLink = current !== undefined && current.isAcross && !link && !busy;
+  const mayDecide = current !== undefined && current.isAcross && !busy &&
+      !decisionOf(store.decisions.value, current);
   const outcome = store.outcome.value;
 
   const write = (at: string, note: string) =>
@@ -154,31 +169,21 @@ export function SearchPanel(
     setUndoing(undefined);
     if (found[at]) setChosen(keyOfFound(found[at]));
   };
-  const confirm = () => {
-    if (!mayLink) return;
+  const decide = (kind: GroupDecision['kind']) => {
     setUndoing(undefined);
-    void store.add(current.query, current.matched, drafts.get(key!) ?? '')
+    void store.decide(kind, current, drafts.get(key!) ?? '')
         .then(done => done && write(key!, ''));
   };
-  // What others have linked is deleted in the table of links.
-  const undo = () => {
-    if (!last || busy) return;
-    if (undoing !== last.name) {
-      setUndoing(last.name);
+  // What others have decided is deleted in the tables of decisions.
+  const undo = (made: GroupDecision) => {
+    if (undoing !== made.name) {
+      setUndoing(made.name);
       return;
     }
     setUndoing(undefined);
-    void store.remove(last);
+    void store.remove(made);
   };
-  const show = () => {
-    if (current && search.asked.value) {
-      go(addressOf(current, search.asked.value));
-    }
-  };
-  useKeys({
-    j: () => step(1), k: () => step(-1), c: confirm, u: undo, Enter: show,
-    n: () => note.current?.focus(),
-  });
+  useKeys({n: () => note.current?.focus()});
   return (
     <section aria-label="Search">
       <h2>Search in this group</h2>
@@ -203,47 +208,38 @@ export function SearchPanel(
                  empty={`No candidates: ${
                      words(EmptyReason[set.emptyReason])}.`} />
           <div class="decision" role="group" aria-label="Decision">
-            <p class="state-line">
-              {!current ? 'No candidate is chosen.' :
-               !current.isAcross ? `${linkName(current)} is in the vehicle’s ` +
-                   'own history: it is decided in its own view.' :
-               `${linkName(current)}${link ? ': linked' : ''}`}
-            </p>
+            <p class="state-line">{stateLine(store, current)}</p>
             <label>
-              Note, kept with the link
+              Note, kept with the decision
               <input key={key} ref={note} type="text" name="note" maxLength={1024}
                      value={key === undefined ? '' : drafts.get(key) ?? ''}
-                     readOnly={!mayLink}
+                     readOnly={!mayDecide}
                      onInput={event =>
                        key && write(key, event.currentTarget.value)} />
             </label>
-            <div class="buttons">
-              <button type="button" class="confirm" disabled={!mayLink}
-                      onClick={confirm}>
-                Confirm <kbd>c</kbd>
-              </button>
-              <button type="button" disabled={!last || busy} onClick={undo}>
-                {last ? `Undo ${linkName(last)}…` : 'Undo'} <kbd>u</kbd>
-              </button>
-              <button type="button" disabled={found.length === 0}
-                      onClick={() => step(-1)}>
-                Previous <kbd>k</kbd>
-              </button>
-              <button type="button" disabled={found.length === 0}
-                      onClick={() => step(1)}>
-                Next <kbd>j</kbd>
-              </button>
-              <button type="button" disabled={!current} onClick={show}>
-                Open <kbd>Enter</kbd>
-              </button>
-            </div>
+            <KeyedButtons buttons={[
+              {key: 'c', text: 'Confirm', looks: 'confirm',
+               act: doIf(mayDecide, () => decide('linked'))},
+              {key: 'r', text: 'Reject', looks: 'reject',
+               act: doIf(mayDecide && !store.isWithoutRejections.value,
+                         () => decide('rejected'))},
+              {key: 'u', text: last ? `Undo ${posesName(last)}…` : 'Undo',
+               act: last && !busy ? () => undo(last) : undefined},
+              {key: 'k', text: 'Previous',
+               act: doIf(found.length > 0, () => step(-1))},
+              {key: 'j', text: 'Next',
+               act: doIf(found.length > 0, () => step(1))},
+              {key: 'Enter', text: 'Open',
+               act: doIf(current !== undefined, () =>
+                 go(addressOf(current, search.asked.value!)))},
+            ]} />
           </div>
         </>
       )}
       <p role="status" class={outcome?.failed ? 'error' : ''}>
         {undoing !== undefined && undoing === last?.name ?
-          `The last link of this page is ${linkName(last)}: u once more ` +
-              'deletes it.' :
+          `The last decision of this page is ${last.kind} ${posesName(last)
+          }: u once more deletes it.` :
           outcome?.text ?? ''}
       </p>
     </section>

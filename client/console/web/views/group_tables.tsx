@@ -1,4 +1,4 @@
-// The members of a group and the links between them, as tables.
+// The members of a group and the decisions about pairs of them, as tables.
 import {useState} from 'preact/hooks';
 
 import {type CandidateSet, UnsearchedReason} from
@@ -6,8 +6,8 @@ import {type CandidateSet, UnsearchedReason} from
 import type {GroupMember} from '../../gen/revisit/v1/group_pb.js';
 import type {GroupStore} from '../data/group.js';
 import {type Frames, isOnMap} from '../data/group_frames.js';
-import {type Link, linkName, placeName, type PosePlace, vehicleId} from
-    '../data/group_links.js';
+import {type GroupDecision, type Link, placeName, type PosePlace, posesName,
+        vehicleId} from '../data/group_links.js';
 import type {MemberPath} from '../data/group_paths.js';
 import type {Colour} from '../draw/scene.js';
 import {count, degrees, duration, fixed, instant, length, words} from
@@ -128,14 +128,14 @@ function PoseLink({vehicle, sequence}: PosePlace) {
 }
 
 /** Deletes where it is pressed twice: nobody can undo that. */
-function DeleteButton({store, link}: {store: GroupStore, link: Link}) {
+function DeleteButton({store, made}: {store: GroupStore, made: GroupDecision}) {
   const [asked, setAsked] = useState(false);
-  const name = linkName(link);
+  const name = posesName(made);
   return (
     <button type="button" disabled={store.isBusy.value}
             aria-label={`${asked ? 'Really delete' : 'Delete'} ${name}`}
             onBlur={() => setAsked(false)}
-            onClick={() => asked ? void store.remove(link) : setAsked(true)}>
+            onClick={() => asked ? void store.remove(made) : setAsked(true)}>
       {asked ? 'Really delete' : 'Delete'}
     </button>
   );
@@ -145,29 +145,57 @@ function tieText(placed: PlacedLink|undefined): string {
   return !placed ? 'not on the map' : placed.isKnown ? 'known' : 'estimated';
 }
 
-export function LinkTable({store, placed, pointed, onPoint}: {
-  store: GroupStore, placed: ReadonlyMap<string, PlacedLink>,
-  pointed: string|undefined, onPoint: (key: string|undefined) => void,
-}) {
-  const columns: Array<Column<Link>> = [
+interface DecisionsProps<Decision> {
+  label: string;
+  store: GroupStore;
+  rows: Decision[];
+  /** Columns that these have besides. */
+  more?: Array<Column<Decision>>;
+  empty: string;
+  pointed?: string;
+  onPoint?: (key: string|undefined) => void;
+}
+
+/** Decisions with their poses, who made them when, and how to delete them. */
+function DecisionTable<Decision extends GroupDecision>(
+    {label, store, rows, more = [], empty, pointed, onPoint}:
+    DecisionsProps<Decision>) {
+  const columns: Array<Column<Decision>> = [
     {title: 'Query', by: ({query}) => placeName(query),
      cell: ({query}) => <PoseLink {...query} />},
     {title: 'Match', by: ({matched}) => placeName(matched),
      cell: ({matched}) => <PoseLink {...matched} />},
-    {title: 'Delete', cell: link => <DeleteButton store={store} link={link} />},
+    {title: 'Delete', cell: made => <DeleteButton store={store} made={made} />},
+    ...more,
+    {title: 'When', by: ({time}) => time, cell: ({time}) => instant(time)},
+    {title: 'By', by: ({by}) => by, cell: ({by}) => by},
+    {title: 'Note', by: ({note}) => note, cell: ({note}) => note},
+  ];
+  return <Table label={label} columns={columns} rows={rows}
+                keyOf={({name}) => name} pointed={pointed} onPoint={onPoint}
+                empty={empty} />;
+}
+
+export function LinkTable({placed, ...shown}: {
+  store: GroupStore, placed: ReadonlyMap<string, PlacedLink>,
+  pointed: string|undefined, onPoint: (key: string|undefined) => void,
+}) {
+  const more: Array<Column<Link>> = [
     {title: 'Frames', by: ({name}) => tieText(placed.get(name)),
      cell: ({name}) => tieText(placed.get(name))},
     {title: 'Apart', number: true, by: ({name}) => placed.get(name)?.apart ?? NaN,
      cell: ({name}) => placed.has(name) ? length(placed.get(name)!.apart) :
                                           '–'},
     {title: 'Measured', cell: measurementText},
-    {title: 'When', by: ({time}) => time, cell: ({time}) => instant(time)},
-    {title: 'By', by: ({by}) => by, cell: ({by}) => by},
-    {title: 'Note', by: ({note}) => note, cell: ({note}) => note},
   ];
-  return <Table label="Links" columns={columns} rows={store.links.value}
-                keyOf={({name}) => name} pointed={pointed} onPoint={onPoint}
-                empty="Nobody has linked two members." />;
+  return <DecisionTable {...shown} label="Links" rows={shown.store.links.value}
+                        more={more} empty="Nobody has linked two members." />;
+}
+
+export function RejectionTable({store}: {store: GroupStore}) {
+  return <DecisionTable label="Rejected candidates" store={store}
+                        rows={store.rejections.value}
+                        empty="Nobody has rejected a candidate between two members." />;
 }
 
 /** The rows of members, in the order of the list. */
