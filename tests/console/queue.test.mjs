@@ -305,7 +305,7 @@ test('what is open is saved as SVG and as PNG', async () => {
     const content = readFileSync(path);
     if (type === 'SVG') {
       const [query, match] = await cells(page);
-      assert.ok(content.toString().includes(`acme-2 ${query}–${match}`));
+      assert.ok(content.toString().includes(`${query}–${match} of acme-2`));
     } else {
       assert.equal(content.subarray(1, 4).toString(), 'PNG');
     }

@@ -202,6 +202,19 @@ test('an event of a second search adds to what was told', () => {
   assert.deepEqual([two.told.probability, two.isSearchedAgain], [0.6, false]);
 });
 
+test('a match in another vehicle is known by it, and one in its own is not', () => {
+  const queue = new queues.Queue(100);
+  queue.begin([check('a', 10, OPEN, 1)], 0, false);
+  const other = event('a', 20, OPEN, 2);
+  other.evidence.matchedVehicle = 'vehicles/b';
+  queue.take(other, 0);
+  const [across, own] = queues.ordered(queue.values, 'newest');
+  assert.deepEqual([across, own].map(queues.otherVehicleOf),
+                   ['b', undefined]);
+  assert.deepEqual([across, own].map(
+      one => queues.posesOf(one).matched.vehicle), ['b', 'a']);
+});
+
 test('a contradicted one is known while it is open', () => {
   const queue = new queues.Queue(100);
   queue.take(event('a', 10, OPEN, 2, {cause: CONTRADICTION}), 0);

@@ -6,6 +6,7 @@ import {timestampMs} from '@bufbuild/protobuf/wkt';
 import type {Candidate, CandidateSet} from '../../gen/revisit/v1/candidate_pb.js';
 import {CandidateCause, type CandidateEvent, CandidateState, type Check,
         type CheckCandidate} from '../../gen/revisit/v1/check_pb.js';
+import {type PosePair, vehicleId} from './group_links.js';
 
 /** How long one that was decided is shown, with who decided. */
 export const FADE_MILLISECONDS = 6000;
@@ -79,6 +80,22 @@ function listed(check: Check, candidate: CheckCandidate): Waiting|undefined {
 
 export function isOpen({state}: Waiting): boolean {
   return state === CandidateState.OPEN;
+}
+
+/** The vehicle in whose history its match lies; undefined where that is its
+ * own. */
+export function otherVehicleOf({evidence}: Waiting): string|undefined {
+  return evidence.matchedVehicle ? vehicleId(evidence.matchedVehicle) :
+                                   undefined;
+}
+
+export function posesOf(one: Waiting): PosePair {
+  const {vehicle, evidence: {query, matched}} = one;
+  return {
+    query: {vehicle, sequence: Number(query!.sequence)},
+    matched: {vehicle: otherVehicleOf(one) ?? vehicle,
+              sequence: Number(matched!.sequence)},
+  };
 }
 
 /** Whether it is open once more because the loop closure that confirmed it

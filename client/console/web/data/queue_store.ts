@@ -1,24 +1,24 @@
-// The queue as the page knows it, kept up to date by a watch while it is in view,
-// and the decisions that were made in it.
+// The queue as the page knows it, kept up to date by a watch while it is in view.
 import {Code, ConnectError} from '@connectrpc/connect';
-import {batch, signal} from '@preact/signals';
+import {batch, computed, signal} from '@preact/signals';
 
 import {CandidateCause, CandidateState, type Check} from
     '../../gen/revisit/v1/check_pb.js';
-import type {LoopClosure} from '../../gen/revisit/v1/loop_closure_pb.js';
 import {ListChecksOrder} from
     '../../gen/revisit/v1/pose_graph_service_pb.js';
 import {StoredChecks, type Vehicle} from '../../gen/revisit/v1/vehicle_pb.js';
-import {allPages, messageOf, repeat, service, token} from './client.js';
-import {pairName, type Deed, VERBS} from './decisions.js';
-import {isContradicted, isOpen, Queue, type Waiting} from './queue.js';
+import {allPages, messageOf, repeat, service} from './client.js';
+import {type Deed, VERBS} from './decisions.js';
+import {isOpen, otherVehicleOf, Queue, type Waiting} from './queue.js';
+import {decideAbout, undoDeed} from './queue_decisions.js';
+import {asDecided, deeds, isBusy, lastDecision, nameOf, pairOfWaiting,
+        type QueueDeed, readOnly, subjectOf} from './queue_deeds.js';
 
 /** At most so many are listed: of more, vehicle and probability choose. */
 export const MOST_WAITING = 2000;
 /** A check takes some seven kilobytes in a list. */
 const CHECKS_A_PAGE = 250;
 const VEHICLES_A_PAGE = 1000;
-const CLOSURES_A_PAGE = 1000;
 const VEHICLES_MILLISECONDS = 5000;
 const RETRY_MILLISECONDS = 1000;
 /** The server tells something each ten seconds or so. Where nothing comes for so
@@ -49,64 +49,16 @@ export interface QueueFilter {
   byValue: boolean;
 }
 
-/** Something that was done in the queue. `at` is the key of the candidate. */
-export interface QueueDeed extends Deed {
-  candidate: Waiting;
-  /** The loop closure that was deleted before the candidate was rejected. */
-  deleted?: LoopClosure;
-}
-
-/** All that was done since the page was loaded, the last at the end: it outlives
- * a look at another view, so that it can be undone after that. */
-export const deeds = signal<QueueDeed[]>([]);
-/** Vehicles about which the server lets this caller decide nothing, by id, as it
- * said when that was tried. */
-export const readOnly = signal<ReadonlySet<string>>(new Set());
-token.subscribe(() => batch(() => {
-  deeds.value = [];
-  readOnly.value = new Set();
-}));
-
-export function pairOfWaiting({evidence}: Waiting) {
-  return {query: Number(evidence.query!.sequence),
-          matched: Number(evidence.matched!.sequence)};
-}
-
-/** The last decision of this page that still stands. */
-export function lastDecision(): QueueDeed|undefined {
-  // The same pair may be decided about again after an undo, under the same name.
-  const undone = (deed: QueueDeed) => deeds.value.some(
-      ({id, act, state, made}) => act === 'undo' && state !== 'failed' &&
-          id > deed.id && made === deed.made);
-  // A loop closure that was upheld was there before, and stays.
-  return deeds.value.filter(deed =>
-      deed.act !== 'undo' && deed.act !== 'uphold' && deed.made !== undefined && !undone(deed)).at(-1);
-}
-
 const DONE: Record<Deed['act'], string> = {
   confirm: 'Confirmed', uphold: 'Upheld the loop closure of',
   reject: 'Rejected', undo: 'Undone: the decision about',
 };
 
-/** The loop closure that confirmed a contradicted candidate. Undefined of other
- * candidates, and where it is gone: then this is one as any other. */
-async function closureOf(one: Waiting): Promise<LoopClosure|undefined> {
-  if (!isContradicted(one)) return undefined;
-  const closures = await allPages(
-      pageToken => service.listLoopClosures({
-        parent: `vehicles/${one.vehicle}`, pageToken,
-        pageSize: CLOSURES_A_PAGE}),
-      page => page.loopClosures);
-  return closures.find(({name}) => name === one.decision);
-}
-
-export function isBusy(key: string): boolean {
-  return deeds.value.some(({at, state}) => at === key && state === 'under way');
-}
-
 export class QueueStore {
+  private readonly listed = signal<readonly Waiting[]|undefined>(undefined);
   /** Undefined until the first list is here. */
-  readonly waiting = signal<readonly Waiting[]|undefined>(undefined);
+  readonly waiting = computed(
+      () => this.listed.value && asDecided(this.listed.value));
   /** Whether more are open than are shown. */
   readonly isCut = signal(false);
   /** Whether what changes is told now. */
@@ -152,7 +104,7 @@ export class QueueStore {
     this.filter = filter;
     this.queue = new Queue(MOST_WAITING);
     this.cursor = '';
-    this.waiting.value = undefined;
+    this.listed.value = undefined;
     this.start();
   }
 
@@ -303,7 +255,7 @@ export class QueueStore {
   private publishNow(): void {
     const isFading = this.queue.sweep(Date.now());
     batch(() => {
-      this.waiting.value = [...this.queue.values];
+      this.listed.value = [...this.queue.values];
       this.isCut.value = this.queue.isCut;
     });
     if (isFading) {
@@ -327,37 +279,17 @@ export class QueueStore {
   /** Decides about a candidate as it was found. */
   decide(act: 'confirm'|'reject', candidate: Waiting): void {
     if (!isOpen(candidate) || isBusy(candidate.key) ||
-        readOnly.value.has(candidate.vehicle)) {
-      return;
-    }
-    const {name, vehicle, key} = candidate;
-    const parent = `vehicles/${vehicle}`;
-    const pair = {querySequence: candidate.evidence.query!.sequence,
-                  matchedSequence: candidate.evidence.matched!.sequence};
-    const settle = (state: CandidateState, made: string) =>
-        this.queue.settle(key, state, made, Date.now());
-    if (act === 'confirm') {
-      void this.perform(act, candidate, async () => {
-        const closure = await closureOf(candidate);
-        const {loopClosure} = closure ?
-            await service.addLoopClosure(
-                {parent, candidate: name, loopClosure: closure,
-                 loopClosureId: closure.name.split('/').at(-1)}) :
-            await service.addLoopClosure(
-                {parent, candidate: name, loopClosure: pair});
-        settle(CandidateState.CONFIRMED, loopClosure!.name);
-        return {made: loopClosure!.name, act: closure ? 'uphold' : act};
-      });
+        readOnly.value.has(subjectOf(candidate))) {
       return;
     }
     void this.perform(act, candidate, async () => {
-      const deleted = await closureOf(candidate);
-      // One pair of poses is not both.
-      if (deleted) await service.deleteLoopClosure({name: deleted.name});
-      const {rejectedCandidate} = await service.rejectCandidate(
-          {parent, candidate: name, rejectedCandidate: pair});
-      settle(CandidateState.REJECTED, rejectedCandidate!.name);
-      return {made: rejectedCandidate!.name, deleted};
+      const ended = await decideAbout(act, candidate);
+      if (otherVehicleOf(candidate) === undefined) {
+        this.queue.settle(candidate.key, act === 'confirm' ?
+            CandidateState.CONFIRMED : CandidateState.REJECTED, ended.made!,
+            Date.now());
+      }
+      return ended;
     });
   }
 
@@ -366,43 +298,27 @@ export class QueueStore {
   undo(): QueueDeed|undefined {
     const last = lastDecision();
     if (!last || isBusy(last.at)) return undefined;
-    const name = last.made!;
     void this.perform('undo', last.candidate, async () => {
-      try {
-        if (last.act === 'confirm') {
-          await service.deleteLoopClosure({name});
-        } else {
-          await service.deleteRejectedCandidate({name});
-        }
-      } catch (error) {
-        // Somebody else was faster.
-        if (ConnectError.from(error).code !== Code.NotFound) throw error;
-      }
-      if (last.deleted) {
-        await service.addLoopClosure({
-          parent: `vehicles/${last.candidate.vehicle}`,
-          loopClosure: last.deleted, candidate: last.candidate.name,
-          loopClosureId: last.deleted.name.split('/').at(-1)});
-      }
+      await undoDeed(last);
       return {};
-    }, name);
+    }, last.made);
     return last;
   }
 
   private async perform(act: Deed['act'], candidate: Waiting,
                         work: () => Promise<Partial<QueueDeed>>,
                         made?: string): Promise<void> {
-    const pair = pairOfWaiting(candidate);
     const deed: QueueDeed = {
-      id: deeds.value.length + 1, act, pair, at: candidate.key, candidate, made,
-      state: 'under way', text: '…', time: Date.now(),
+      id: deeds.value.length + 1, act, pair: pairOfWaiting(candidate),
+      at: candidate.key, candidate, made, state: 'under way', text: '…',
+      time: Date.now(),
     };
     deeds.value = [...deeds.value, deed];
     const end = (ended: Partial<QueueDeed>) => {
       deeds.value = deeds.value.map(
           other => other.id === deed.id ? {...deed, ...ended} : other);
     };
-    const what = `${pairName(pair)} of ${candidate.vehicle}`;
+    const what = nameOf(candidate);
     try {
       const ended = await work();
       const text = `${DONE[ended.act ?? act]} ${what}.`;
@@ -413,7 +329,7 @@ export class QueueStore {
     } catch (error) {
       if (act !== 'undo' &&
           ConnectError.from(error).code === Code.PermissionDenied) {
-        readOnly.value = new Set([...readOnly.value, candidate.vehicle]);
+        readOnly.value = new Set([...readOnly.value, subjectOf(candidate)]);
       }
       end({state: 'failed',
            text: `${what} was not ${VERBS[act]}: ${messageOf(error)}`});

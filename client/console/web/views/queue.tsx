@@ -6,16 +6,16 @@ import {type Candidate, Verdict} from '../../gen/revisit/v1/candidate_pb.js';
 import {CandidateCause, CandidateState} from
     '../../gen/revisit/v1/check_pb.js';
 import {verdictName} from '../data/candidates.js';
-import {pairName} from '../data/decisions.js';
-import {follow, isContradicted, isOpen, neighbour, type Order, ordered, type Waiting} from
-    '../data/queue.js';
-import {deeds, isBusy, lastDecision, MOST_WAITING, pairOfWaiting,
-        type QueueDeed, type QueueFilter, QueueStore, readOnly} from
+import {follow, isContradicted, isOpen, neighbour, type Order, ordered,
+        otherVehicleOf, posesOf, type Waiting} from '../data/queue.js';
+import {deeds, isBusy, lastDecision, nameOf, type QueueDeed, readOnly,
+        subjectOf} from '../data/queue_deeds.js';
+import {MOST_WAITING, type QueueFilter, QueueStore} from
     '../data/queue_store.js';
 import {Export} from '../parts/export.js';
 import {count, fixed, length, moment, probability, words} from
     '../parts/format.js';
-import {useKeys} from '../parts/keys.js';
+import {doIf, KeyedButtons} from '../parts/keyed_buttons.js';
 import {type Column, Table} from '../parts/table.js';
 import {go, query, setQuery} from '../route.js';
 import {useTitle} from '../title.js';
@@ -38,10 +38,19 @@ function orderOf(parameters: URLSearchParams): Order {
   return order === 'newest' || order === 'probable' ? order : 'value';
 }
 
-/** The view of a candidate, by the pose at which its check was due. */
-function addressOf({vehicle, asked, evidence}: Waiting): string {
-  return `/vehicles/${vehicle}/candidates/${asked}-${
-      evidence.matched!.sequence}`;
+/** Where a candidate is looked at: in its own view, by the pose at which its check
+ * was due, or in another vehicle where its match lies. */
+function addressOf(one: Waiting): string {
+  const {matched} = posesOf(one);
+  return otherVehicleOf(one) !== undefined ?
+      `/vehicles/${matched.vehicle}?at=${matched.sequence}` :
+      `/vehicles/${one.vehicle}/candidates/${one.asked}-${matched.sequence}`;
+}
+
+function matchText(one: Waiting): string {
+  const other = otherVehicleOf(one);
+  const sequence = count(one.evidence.matched!.sequence);
+  return other === undefined ? sequence : `${sequence} in ${other}`;
 }
 
 /** What an open candidate is called in the address of the page. */
@@ -79,8 +88,9 @@ function stateText(one: Waiting): string {
   const made = deeds.value.find(
       ({act, made: name}) => act !== 'undo' && name === one.decision);
   if (made) {
-    return made.at === one.key ? `${state} here` :
-                                 `${state} with ${pairName(made.pair)}`;
+    if (made.at !== one.key) return `${state} with ${nameOf(made.candidate)}`;
+    return one.left === undefined ? `${state} here, the server follows` :
+                                    `${state} here`;
   }
   return one.actor ? `${state} by ${one.actor}` : `${state} elsewhere`;
 }
@@ -90,12 +100,11 @@ function columnsFor(names: ReadonlyMap<string, string>):
   return [
     {title: 'Pose', number: true, cell: one => (
       <a href={addressOf(one)} aria-label={`${
-          count(one.evidence.query!.sequence)} at pose ${
-          count(one.evidence.matched!.sequence)} of ${one.vehicle}`}>
+          count(one.evidence.query!.sequence)} at pose ${matchText(one)} of ${
+          one.vehicle}`}>
         {count(one.evidence.query!.sequence)}
       </a>)},
-    {title: 'Match', number: true,
-     cell: ({evidence}) => count(evidence.matched!.sequence)},
+    {title: 'Match', number: true, cell: matchText},
     {title: 'Vehicle', cell: ({vehicle}) => (
       <a href={`/vehicles/${vehicle}`}>{names.get(vehicle) || vehicle}</a>)},
     {title: 'Verdict', cell: ({evidence: {verdict}}) => (
@@ -179,10 +188,10 @@ function Deeds({done}: {done: readonly QueueDeed[]}) {
       <summary>{count(done.length)} done here</summary>
       <ol>
         {done.slice(-SHOWN_DEEDS).reverse().map(
-            ({id, act, pair, candidate, state, text, time}) => (
+            ({id, act, candidate, state, text, time}) => (
           <li key={id} class={state === 'failed' ? 'error' : ''}>
             {moment(time)} <a href={addressOf(candidate)}>
-              {pairName(pair)}</a>: {state === 'under way' ?
+              {nameOf(candidate)}</a>: {state === 'under way' ?
                 `${act}, no answer yet` : text}
           </li>
         ))}
@@ -300,25 +309,16 @@ export function QueueView() {
   const open = (rows ?? []).filter(isOpen);
   const owed = owedChecks(store);
   const mayDecide = current !== undefined && isOpen(current) &&
-      !isBusy(current.key) && !readOnly.value.has(current.vehicle);
+      !isBusy(current.key) && !readOnly.value.has(subjectOf(current));
 
   const step = (direction: 1|-1) =>
       select(neighbour(rows ?? [], current?.key, direction));
   const decide = (act: 'confirm'|'reject') => {
-    if (!mayDecide) return;
+    if (!current) return;
     store.decide(act, current);
     const below = neighbour(rows!, current.key, 1);
     select(below === current.key ? neighbour(rows!, current.key, -1) : below);
   };
-  const undo = () => expect(store.undo()?.at);
-  const show = () => {
-    if (current) go(addressOf(current));
-  };
-  useKeys({
-    j: () => step(1), k: () => step(-1),
-    c: () => decide('confirm'), r: () => decide('reject'),
-    u: undo, Enter: show,
-  });
   return (
     <>
       <div class="title">
@@ -333,7 +333,7 @@ export function QueueView() {
         <Export name="queue" sheet={() => ({
           title: `Queue: ${count(open.length)} open`,
           facts: open.slice(0, MOST_SAVED).map(one => [
-            `${one.vehicle} ${pairName(pairOfWaiting(one))}`,
+            nameOf(one),
             `${verdictName(one.evidence.verdict)}, ${probabilityText(one)}, ${
                 valueText(one)}`]),
         })} />
@@ -352,45 +352,32 @@ export function QueueView() {
         <p class="state-line">
           {current ? (
             <>
-              <a href={addressOf(current)}>{
-                  pairName(pairOfWaiting(current))}</a> of {current.vehicle}
+              <a href={addressOf(current)}>{nameOf(current)}</a>
               {isOpen(current) ? '' : `: ${stateText(current)}`}
             </>
           ) : 'No candidate is chosen.'}
         </p>
         {current && <Searches one={current} />}
         {current && <Marks one={current} />}
-        <div class="buttons">
-          <button type="button" class="confirm" disabled={!mayDecide}
-                  onClick={() => decide('confirm')}>
-            {current && isContradicted(current) ? 'Uphold' : 'Confirm'}{' '}
-            <kbd>c</kbd>
-          </button>
-          <button type="button" class="reject" disabled={!mayDecide}
-                  onClick={() => decide('reject')}>
-            Reject <kbd>r</kbd>
-          </button>
-          <button type="button" disabled={!last} onClick={undo}>
-            {last ? `Undo ${pairName(last.pair)}` : 'Undo'} <kbd>u</kbd>
-          </button>
-          <button type="button" disabled={open.length === 0}
-                  onClick={() => step(-1)}>
-            Previous <kbd>k</kbd>
-          </button>
-          <button type="button" disabled={open.length === 0}
-                  onClick={() => step(1)}>
-            Next <kbd>j</kbd>
-          </button>
-          <button type="button" disabled={!current} onClick={show}>
-            Open <kbd>Enter</kbd>
-          </button>
-        </div>
+        <KeyedButtons buttons={[
+          {key: 'c', looks: 'confirm',
+           text: current && isContradicted(current) ? 'Uphold' : 'Confirm',
+           act: doIf(mayDecide, () => decide('confirm'))},
+          {key: 'r', text: 'Reject', looks: 'reject',
+           act: doIf(mayDecide, () => decide('reject'))},
+          {key: 'u', text: last ? `Undo ${nameOf(last.candidate)}` : 'Undo',
+           act: doIf(last !== undefined, () => expect(store.undo()?.at))},
+          {key: 'k', text: 'Previous', act: doIf(open.length > 0, () => step(-1))},
+          {key: 'j', text: 'Next', act: doIf(open.length > 0, () => step(1))},
+          {key: 'Enter', text: 'Open',
+           act: doIf(current !== undefined, () => go(addressOf(current!)))},
+        ]} />
         <p role="status" class={outcome?.state === 'failed' ? 'error' : ''}>
           {outcome?.text ?? ''}
         </p>
-        {current && readOnly.value.has(current.vehicle) && (
+        {current && readOnly.value.has(subjectOf(current)) && (
           <p class="hint">
-            You may read {current.vehicle}, but not decide about it.
+            You may read {subjectOf(current)}, but not decide about it.
           </p>
         )}
         <Deeds done={done} />
