@@ -2,12 +2,15 @@
 
 #include <algorithm>
 #include <deque>
+#include <optional>
 #include <system_error>
 #include <thread>
 #include <utility>
+#include <vector>
 
 #include "absl/strings/str_cat.h"
 #include "client/revisit/owner_route.h"
+#include "client/revisit/pose_columns.h"
 #include "client/revisit/status.h"
 #include "client/revisit/status_from_grpc.h"
 #include "core/base/mutex.h"
@@ -134,6 +137,7 @@ struct PoseStream::Rep {
   // How many of the pending poses were sent, from the front.
   std::size_t sent ABSL_GUARDED_BY(mutex) = 0;
   int batch_poses ABSL_GUARDED_BY(mutex) = 1;
+  bool takes_columns ABSL_GUARDED_BY(mutex) = false;
   Clock::time_point quiet_since ABSL_GUARDED_BY(mutex);
   // Why we ended the connection ourselves.
   absl::Status own_verdict ABSL_GUARDED_BY(mutex);
@@ -229,6 +233,7 @@ class PoseStream::Connection final
     if (durable > rep_->acked_sequence) rep_->progressed = true;
     rep_->opened = true;
     rep_->acked_sequence = durable;
+    rep_->takes_columns = message.takes_pose_columns();
     rep_->batch_poses = std::max(rep_->options.batch_poses, 1);
     if (message.max_batch_poses() > 0) {
       rep_->batch_poses =
@@ -308,11 +313,26 @@ void PoseStream::Rep::DropDurable(std::uint64_t durable_sequence,
 
 void PoseStream::Rep::FillBatch(v1::StreamPosesRequest* request) {
   if (sent == 0) quiet_since = Clock::now();
-  auto* poses = request->mutable_batch()->mutable_poses();
-  poses->Clear();
-  const std::size_t end =
+  v1::PoseBatch* const batch = request->mutable_batch();
+  batch->Clear();
+  std::size_t end =
       std::min(pending.size(), sent + static_cast<std::size_t>(batch_poses));
-  for (; sent < end; ++sent) *poses->Add() = pending[sent].pose;
+  std::optional<v1::PoseColumns> columns;
+  if (takes_columns) {
+    std::vector<const v1::Pose*> poses;
+    for (std::size_t i = sent; i < end; ++i) {
+      // A recording begins a batch of its own.
+      if (i > sent && pending[i].pose.has_recording_start()) end = i;
+      if (i < end) poses.push_back(&pending[i].pose);
+    }
+    columns = PoseColumnsOf(poses);
+  }
+  if (columns) {
+    *batch->mutable_columns() = *std::move(columns);
+    sent = end;
+  } else {
+    for (; sent < end; ++sent) *batch->add_poses() = pending[sent].pose;
+  }
   last_sent_sequence =
       std::max(last_sent_sequence, pending[sent - 1].pose.sequence());
 }

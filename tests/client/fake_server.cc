@@ -7,6 +7,7 @@
 #include "google/rpc/status.pb.h"
 #include "grpcpp/security/server_credentials.h"
 #include "grpcpp/server_builder.h"
+#include "tests/client/expanded_poses.h"
 
 namespace revisit::client {
 
@@ -175,6 +176,16 @@ std::vector<std::string> FakeServer::Routes() const {
 std::vector<std::string> FakeServer::Deleted() const {
   std::lock_guard<std::mutex> lock(mutex_);
   return deleted_;
+}
+
+void FakeServer::TakeColumns(bool take) {
+  std::lock_guard<std::mutex> lock(mutex_);
+  takes_columns_ = take;
+}
+
+int FakeServer::column_batches() const {
+  std::lock_guard<std::mutex> lock(mutex_);
+  return column_batches_;
 }
 
 int FakeServer::largest_batch() const {
@@ -797,10 +808,13 @@ grpc::Status FakeServer::StreamPoses(
   response.mutable_opened()->set_durable_sequence(told);
   response.mutable_opened()->set_max_batch_poses(max_batch_poses_);
   response.mutable_opened()->set_vehicle_uid(uid_);
+  response.mutable_opened()->set_takes_pose_columns(takes_columns_);
   lock.unlock();
   stream->Write(response);
   while (stream->Read(&request)) {
     lock.lock();
+    if (request.batch().has_columns()) ++column_batches_;
+    *request.mutable_batch() = Expanded(request.batch());
     changed_.wait(lock, go_on);
     if (first) {
       first = false;

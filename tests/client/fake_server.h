@@ -162,6 +162,10 @@ class FakeServer final : public v1::PoseGraphService::Service {
   // Names that deletions asked for, in order.
   std::vector<std::string> Deleted() const;
   int largest_batch() const;
+  // Whether streams are told that columns are taken, as they are at first, and
+  // how many batches came as columns.
+  void TakeColumns(bool take);
+  int column_batches() const;
 
   grpc::Status CreateVehicle(grpc::ServerContext*,
                              const v1::CreateVehicleRequest*,
@@ -343,6 +347,8 @@ class FakeServer final : public v1::PoseGraphService::Service {
   std::vector<std::string> routes_;
   std::vector<std::string> deleted_;
   int largest_batch_ = 0;
+  bool takes_columns_ = true;
+  int column_batches_ = 0;
   std::map<std::string, Group> groups_;
   std::vector<v1::FindCandidatesRequest> searches_;
   v1::UpdateGroupRequest last_group_update_;

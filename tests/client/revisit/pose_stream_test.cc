@@ -152,6 +152,34 @@ TEST_F(PoseStreamTest, SendsNoLargerBatchesThanItMay) {
   EXPECT_LE(server_.largest_batch(), 7);
 }
 
+TEST_F(PoseStreamTest, SendsColumnsToServersThatTakeThemAndMessagesToOthers) {
+  for (const bool takes : {true, false}) {
+    FakeServer server;
+    server.TakeColumns(takes);
+    PoseStream stream(MakeInsecureChannel(server.address()), "vehicles/shuttle",
+                      Options(), {});
+    ASSERT_TRUE(stream.Append(MakeBatch(1, 100)).ok());
+    EXPECT_TRUE(stream.Finish().ok());
+    EXPECT_EQ(server.column_batches() > 0, takes);
+    EXPECT_TRUE(server.Stored() == Serialized(100));
+  }
+}
+
+TEST_F(PoseStreamTest, WhatColumnsCannotSayIsSentAllTheSame) {
+  v1::PoseBatch batch = MakeBatch(1, 100);
+  batch.mutable_poses(9)->mutable_recording_start()->set_label("again");
+  batch.mutable_poses(80)->mutable_stamp()->set_seconds(5);
+  std::vector<std::string> wanted;
+  for (const v1::Pose& pose : batch.poses()) {
+    wanted.push_back(pose.SerializeAsString());
+  }
+  const auto stream = Open();
+  ASSERT_TRUE(stream->Append(batch).ok());
+  EXPECT_TRUE(stream->Finish().ok());
+  EXPECT_TRUE(server_.Stored() == wanted);
+  EXPECT_GT(server_.column_batches(), 0);
+}
+
 class PoseStreamFaultTest : public ::testing::TestWithParam<unsigned> {};
 
 TEST_P(PoseStreamFaultTest, DeliversEveryPoseOnceAndInOrderWhateverIsCut) {
