@@ -70,4 +70,12 @@ bool AllGrow(StateSpace space, const PoseGraph& graph, const NodeRange& nodes,
   return true;
 }
 
+Growth GrowthFrom(StateSpace space, const PoseGraph& graph,
+                  const NodeRange& nodes, NodeIndex reference) {
+  Growth growth;
+  growth.blocks = BlocksGrowing(space, graph, nodes, reference);
+  growth.all_grow = AllGrow(space, graph, nodes, reference, growth.blocks);
+  return growth;
+}
+
 }  // namespace revisit::core

@@ -28,6 +28,14 @@ std::vector<char> BlocksGrowing(StateSpace space, const PoseGraph& graph,
 bool AllGrow(StateSpace space, const PoseGraph& graph, const NodeRange& nodes,
              NodeIndex reference, const std::vector<char>& growing);
 
+// Both of a range and a reference.
+struct Growth {
+  std::vector<char> blocks;
+  bool all_grow = false;
+};
+Growth GrowthFrom(StateSpace space, const PoseGraph& graph,
+                  const NodeRange& nodes, NodeIndex reference);
+
 }  // namespace revisit::core
 
 #endif  // REVISIT_CORE_DRIVE_BLOCK_GROWTH_H_

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cassert>
+#include <unordered_map>
 #include <unordered_set>
 #include <utility>
 
@@ -18,6 +19,19 @@ bool AreOfKind(const FrameNodes& nodes, StateSpace state_space,
 // How many recordings have nodes. REQUIRES: there are nodes.
 std::size_t CountRecordings(const DriveView& view) {
   return view.recordings.Of(view.graph.size() - 1) + 1;
+}
+
+// From the first node of each recording; null where errors do not count from a
+// node.
+std::shared_ptr<const std::vector<Growth>> GrowthOf(const DriveView& view) {
+  if (view.graph.size() == 0 || !view.nodes().have_references()) return nullptr;
+  auto growth = std::make_shared<std::vector<Growth>>();
+  for (std::size_t k = 0; k < view.recordings.size(); ++k) {
+    const NodeRange nodes = view.recordings.NodesOf(k, view.graph.size());
+    growth->push_back(
+        GrowthFrom(view.state_space, view.graph, nodes, nodes.first));
+  }
+  return growth;
 }
 
 bool HaveOneStretch(const std::vector<const DriveView*>& views) {
@@ -38,6 +52,7 @@ JoinedDrives::JoinedDrives(std::vector<JoinedDrive> drives,
       links_(std::move(links)),
       rejected_(std::move(rejected)) {
   PoolMotion(before);
+  FindGrowth(before);
   for (const JoinedDrive& drive : drives_) {
     const DriveView& view = *drive.view;
     std::optional<std::size_t>& frame = frames_.emplace_back();
@@ -83,6 +98,19 @@ void JoinedDrives::PoolMotion(const JoinedDrives* before) {
     } else if (are_known && HaveOneStretch(views)) {
       pool = std::make_shared<const MotionPool>(views);
     }
+  }
+}
+
+// That of views that were joined before is known.
+void JoinedDrives::FindGrowth(const JoinedDrives* before) {
+  std::unordered_map<const DriveView*, std::size_t> known;
+  for (std::size_t d = 0; before != nullptr && d < before->size(); ++d) {
+    known.emplace(&before->view(d), d);
+  }
+  for (std::size_t d = 0; d < size(); ++d) {
+    const auto joined = known.find(&view(d));
+    growth_.push_back(joined == known.end() ? GrowthOf(view(d))
+                                            : before->growth_[joined->second]);
   }
 }
 

@@ -13,6 +13,7 @@
 #include <optional>
 #include <vector>
 
+#include "core/drive/block_growth.h"
 #include "core/drive/confirmed_loop.h"
 #include "core/drive/drive_view.h"
 #include "core/drive/frame_relation.h"
@@ -77,6 +78,14 @@ class JoinedDrives {
     return pools_[first / kDrivesOfPool].get();
   }
 
+  // Where the errors of a recording grow from its first node, to which datums
+  // and starts tie it; null where errors do not count from a node.
+  const Growth* GrowthFromFirst(std::size_t drive,
+                                std::size_t recording) const {
+    const auto& growth = growth_[drive];
+    return growth == nullptr ? nullptr : &(*growth)[recording];
+  }
+
   // The frames as they are seen from the asking drive at a node: with its own
   // recordings up to the query, and its loops, which are given, and links whose
   // own nodes lie at or before the query; its view does not count. `asking` is
@@ -130,6 +139,7 @@ class JoinedDrives {
   Kind& KindOf(const FrameNodes& nodes);
 
   void PoolMotion(const JoinedDrives* before);
+  void FindGrowth(const JoinedDrives* before);
 
   std::vector<JoinedDrive> drives_;
   std::vector<FrameLink> links_;
@@ -138,6 +148,9 @@ class JoinedDrives {
   // By drive; nothing for those without nodes.
   std::vector<std::optional<std::size_t>> frames_;
   std::vector<std::shared_ptr<const MotionPool>> pools_;
+  // By drive, and by its recordings; null where errors do not count from a
+  // node.
+  std::vector<std::shared_ptr<const std::vector<Growth>>> growth_;
 };
 
 }  // namespace revisit::core

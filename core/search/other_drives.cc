@@ -4,7 +4,6 @@
 #include <iterator>
 #include <utility>
 
-#include "core/drive/block_growth.h"
 #include "core/drive/node_range.h"
 #include "core/search/alignment/relation.h"
 
@@ -32,19 +31,19 @@ void GrowthOfOthers::Enter(const std::shared_ptr<const JoinedDrives>& drives) {
   drives_ = drives;
 }
 
-const GrowthOfOthers::Growth& GrowthOfOthers::Of(const DriveView& view,
-                                                 std::size_t recording,
-                                                 NodeIndex reference) {
+const Growth& GrowthOfOthers::Of(std::size_t drive, std::size_t recording,
+                                 NodeIndex reference) {
+  const DriveView& view = drives_->view(drive);
+  const NodeRange nodes = view.recordings.NodesOf(recording, view.graph.size());
+  if (reference == nodes.first) {
+    const Growth* const growth = drives_->GrowthFromFirst(drive, recording);
+    if (growth != nullptr) return *growth;
+  }
   const auto [growing, is_new] =
       growing_.try_emplace({&view, recording, reference});
   if (is_new) {
-    Growth& growth = growing->second;
-    const NodeRange nodes =
-        view.recordings.NodesOf(recording, view.graph.size());
-    growth.blocks =
-        BlocksGrowing(view.state_space, view.graph, nodes, reference);
-    growth.all_grow =
-        AllGrow(view.state_space, view.graph, nodes, reference, growth.blocks);
+    growing->second =
+        GrowthFrom(view.state_space, view.graph, nodes, reference);
   }
   return growing->second;
 }
@@ -146,8 +145,9 @@ void OtherDrives::AddHistories(const FrameRelations& frames,
           range.first,
           frame};
       if (const auto& reference = ties[frame].other_node) {
-        const GrowthOfOthers::Growth& of_history =
-            growth->Of(view, k, *reference);
+        // FarHistories reads it.
+        view.graph.Prefetch(*reference);
+        const Growth& of_history = growth->Of(d, k, *reference);
         history.growing = &of_history.blocks;
         history.all_grow = of_history.all_grow;
       }

@@ -11,6 +11,7 @@
 #include <tuple>
 #include <vector>
 
+#include "core/drive/block_growth.h"
 #include "core/drive/drive_view.h"
 #include "core/drive/frame_relation.h"
 #include "core/drive/frame_relations.h"
@@ -23,20 +24,15 @@
 
 namespace revisit::core {
 
-// In which blocks of other drives' recordings errors grow to or from a node, by
-// view, recording and node; kept from search to search. Not thread-safe.
+// Where the errors of other drives' recordings grow to or from a node
+// (block_growth.h). What the joined drives do not have is kept from search to
+// search, by view, recording and node. Not thread-safe.
 class GrowthOfOthers {
  public:
-  struct Growth {
-    // BlocksGrowing() and AllGrow().
-    std::vector<char> blocks;
-    bool all_grow = false;
-  };
-
   // Forgets views that the joined drives do not have.
   void Enter(const std::shared_ptr<const JoinedDrives>& drives);
-  // REQUIRES: the view is one of those joined; the node lies in the recording.
-  const Growth& Of(const DriveView& view, std::size_t recording,
+  // REQUIRES: the drive is one of those joined; the node lies in the recording.
+  const Growth& Of(std::size_t drive, std::size_t recording,
                    NodeIndex reference);
   // How many are kept.
   std::size_t size() const { return growing_.size(); }

@@ -31,7 +31,13 @@ void PoseTable::Fill(NodeIndex k) {
   const std::size_t count =
       std::min(NodeBlock::kSize, static_cast<std::size_t>(size_) - first);
   double* entry = poses_.get() + 4 * first;
+  // The next block is most probably needed next. (z is elsewhere.)
+  constexpr std::size_t kPoseRows = NodeBlock::kHeading + 1;
+  const auto next = static_cast<std::size_t>(k) + 1;
+  const NodeBlock& fetched =
+      next < filled_.size() && !filled_[next] ? graph_.block(next) : block;
   for (std::size_t i = 0; i < count; ++i, entry += 4) {
+    if (i % NodeBlock::kGroupSize == 0) fetched.Prefetch(i, kPoseRows);
     const Pose pose = block.pose(i);
     entry[0] = pose.x;
     entry[1] = pose.y;

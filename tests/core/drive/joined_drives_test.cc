@@ -9,6 +9,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/drive/block_growth.h"
 #include "core/drive/drive.h"
 #include "core/drive/frame_relations.h"
 #include "core/drive/pose_graph.h"
@@ -463,6 +464,32 @@ TEST(JoinedDrivesTest, RelationsToSomeFramesAreThoseAmongRelationsToAll) {
     }
   }
   EXPECT_GT(tied, 20u);
+}
+
+TEST(JoinedDrivesTest, GrowthFromFirstNodesIsFoundOnceForEachView) {
+  const Drive two = DriveOfTwo(0);
+  DriveSettings settings;
+  settings.search.correlation_model = CorrelationModel::kIndependent;
+  const Drive fixes = DriveOver(0, 100, nullptr, settings);
+  const std::vector<JoinedDrive> views = {
+      {fixes.View(1.0)}, {two.View(1.0)}, {two.View(1.0)}};
+  const JoinedDrives joined(views, {});
+  EXPECT_EQ(joined.GrowthFromFirst(0, 0), nullptr);
+  const DriveView& view = *views[1].view;
+  for (std::size_t k = 0; k < 2; ++k) {
+    const NodeRange nodes = view.recordings.NodesOf(k, view.graph.size());
+    const Growth* const growth = joined.GrowthFromFirst(1, k);
+    ASSERT_NE(growth, nullptr);
+    const auto blocks =
+        BlocksGrowing(view.state_space, view.graph, nodes, nodes.first);
+    EXPECT_EQ(growth->blocks, blocks);
+    EXPECT_EQ(growth->all_grow, AllGrow(view.state_space, view.graph, nodes,
+                                        nodes.first, blocks));
+    EXPECT_TRUE(growth->all_grow);
+  }
+  const JoinedDrives again({views[2], {two.View(1.0)}}, {}, {}, &joined);
+  EXPECT_EQ(again.GrowthFromFirst(0, 1), joined.GrowthFromFirst(2, 1));
+  EXPECT_NE(again.GrowthFromFirst(1, 1), joined.GrowthFromFirst(1, 1));
 }
 
 TEST(JoinedDrivesTest, AMembersDatumPlacesItsFirstRecording) {
