@@ -33,9 +33,9 @@ class FrameRelations {
   FrameRelations(const FrameNodes& nodes, const Recordings& recordings,
                  NodeIndex query, const std::vector<ConfirmedLoop>& loops);
 
-  // Those of `base` but for all that ties frames [first, last), to add to: in
-  // no time that grows with the edges. `base` must outlive this, and nothing is
-  // added to it any more. REQUIRES: it has a drive, and no base itself.
+  // Those of `base` but for all that ties frames [first, last), to add to.
+  // Nothing of it is copied: it must outlive this, and nothing is added to it
+  // any more. O(frames). REQUIRES: it has a drive, and no base itself.
   FrameRelations(const FrameRelations* base, std::size_t first,
                  std::size_t last);
 
@@ -120,8 +120,8 @@ class FrameRelations {
                                           std::size_t drive);
   void AddLoop(std::size_t from, std::size_t to, const ConfirmedLoop& loop);
 
-  // The places of all frames but those that no way from one of these frames to
-  // another leads over.
+  // The places of frames without most of those that no way from one of these
+  // frames to another leads over.
   std::vector<std::size_t> PlacesAmong(
       const std::vector<std::size_t>& ends) const;
   // The relations to the frames with a place, by place.
