@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <atomic>
 #include <chrono>
+#include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <mutex>
@@ -35,6 +36,12 @@ class Events {
   std::vector<std::string> all() const {
     const std::lock_guard<std::mutex> guard(mutex_);
     return events_;
+  }
+  std::ptrdiff_t CountOf(const std::string& kind) const {
+    const std::vector<std::string> events = all();
+    return std::count_if(
+        events.begin(), events.end(),
+        [&](const std::string& event) { return event.rfind(kind, 0) == 0; });
   }
   bool Has(const std::string& event) const {
     const std::vector<std::string> events = all();
@@ -102,7 +109,12 @@ class CheckedAppend final : public AppendObserver {
 class StreamChecksTest : public GroupOfVehicles {
  protected:
   ~StreamChecksTest() override {
-    if (checks_ != nullptr) checks_->GiveUp();
+    if (checks_ == nullptr) return;
+    checks_->GiveUp();
+    // What is under way notes events.
+    EXPECT_TRUE(Eventually([&] {
+      return checks_->idle() && events_.CountOf("ack") == appended_;
+    }));
   }
 
   void Begin(ScopeRequest scope) {
@@ -141,6 +153,7 @@ class StreamChecksTest : public GroupOfVehicles {
 
   // Five poses, the first of which has a check.
   void Append(std::uint64_t first) {
+    ++appended_;
     session_->Append(PlainRequest(SquareBatch(first, 5)),
                      std::make_shared<CheckedAppend>(checks_, &events_));
   }
@@ -154,6 +167,7 @@ class StreamChecksTest : public GroupOfVehicles {
   }
 
   Events events_;
+  std::ptrdiff_t appended_ = 0;
   std::shared_ptr<NotedChecks> noted_ = std::make_shared<NotedChecks>(&events_);
   std::shared_ptr<VehicleSession> session_;
   std::shared_ptr<StreamChecks> checks_;
@@ -235,8 +249,13 @@ TEST_F(StreamChecksTest, LookInWhatIsThereWhileHistoriesAreRead) {
 }
 
 TEST_F(StreamChecksTest, AreNoMoreMadeOnceOneCannotBe) {
+  std::atomic<bool> held{false};
   ScopeRequest scope = Site();
   scope.vehicles = {"nobody"};
+  scope.may_read = [&held](const std::string&) {
+    while (held) std::this_thread::yield();
+    return true;
+  };
   Begin(scope);
   Append(201);
   Append(206);
@@ -245,8 +264,10 @@ TEST_F(StreamChecksTest, AreNoMoreMadeOnceOneCannotBe) {
               IsError(StatusCode::kNotFound, "MEMBER_NOT_FOUND", _));
   EXPECT_TRUE(checks_->idle());
   EXPECT_TRUE(ComesToBe("ack 210"));
+  held = true;
   checks_->Add({150});
   EXPECT_TRUE(checks_->idle());
+  held = false;
   EXPECT_THAT(events_.all(), ElementsAre("ack 205", "ack 210"));
 }
 
