@@ -171,7 +171,8 @@ void SecondSearches::LookAt(const CheckRecord& record, ChecksWrite* write) {
   double value = 0.0;
   for (std::size_t i = 0; i < check->candidates.size(); ++i) {
     StoredCandidate& candidate = check->candidates[i];
-    if (candidate.state == CandidateState::kConfirmed &&
+    // Links between vehicles have ids of their own.
+    if (candidate.is_own() && candidate.state == CandidateState::kConfirmed &&
         candidate.contradicted != candidate.decision &&
         contradicted_.count(candidate.decision) > 0) {
       candidate.contradicted = candidate.decision;
