@@ -3,6 +3,7 @@
 #include <utility>
 
 #include "core/drive/drive.h"
+#include "core/drive/node_index.h"
 #include "server/fleet/group_searches.h"
 
 namespace revisit::server {

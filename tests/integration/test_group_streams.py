@@ -23,7 +23,7 @@ from wire import (PoseStream, append, batches, boreas, decode_failure, failure_o
 pytest_plugins = ("caller_identities",)
 
 # Poses of the vehicle that streams, before it does, and in all.
-FIRST, LAST = 600, 2000
+FIRST, LAST = 600, 1700
 # A history that takes long to read beside a check.
 LONG = 60000
 # Short sequences, so that short drives have checks: one in so many poses.

@@ -5,6 +5,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "client/answers/names.h"
+#include "client/cli/commands/shared_flags.h"
 #include "client/revisit/client.h"
 #include "client/revisit/printable_text.h"
 #include "client/trajectory/claim_choice.h"
