@@ -135,8 +135,9 @@ StateMatrix<D> MeasuredFromQuery(const MeasuredLoop& loop,
 }
 
 double MostOfAgreeing(int degrees_of_freedom) {
-  return ChiSquaredQuantile(static_cast<double>(degrees_of_freedom),
-                            kAgreement);
+  static const double kPlanar = ChiSquaredQuantile(3.0, kAgreement);
+  static const double kSpatial = ChiSquaredQuantile(4.0, kAgreement);
+  return degrees_of_freedom == 3 ? kPlanar : kSpatial;
 }
 
 template <int D>

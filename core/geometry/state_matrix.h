@@ -67,11 +67,36 @@ StateMatrix<D> TurnAbout(double angle) {
   return turn;
 }
 
-// A covariance in axes that are turned by `angle` about z.
+// A covariance in axes that are turned about z, by the angle of this cosine and
+// sine: T m T^T with T as TurnAbout() has it, without its zeros.
 template <int D>
-StateMatrix<D> Turned(const StateMatrix<D>& covariance, double angle) {
-  const StateMatrix<D> turn = TurnAbout<D>(angle);
-  return turn * covariance * turn.transpose();
+StateMatrix<D> Turned(const StateMatrix<D>& m, double cosine, double sine) {
+  StateMatrix<D> rows = m;
+  rows.row(0) = cosine * m.row(0) - sine * m.row(1);
+  rows.row(1) = sine * m.row(0) + cosine * m.row(1);
+  StateMatrix<D> turned = rows;
+  turned.col(0) = cosine * rows.col(0) - sine * rows.col(1);
+  turned.col(1) = sine * rows.col(0) + cosine * rows.col(1);
+  return turned;
+}
+// The same, by `angle`.
+template <int D>
+StateMatrix<D> Turned(const StateMatrix<D>& m, double angle) {
+  return Turned<D>(m, std::cos(angle), std::sin(angle));
+}
+
+// A covariance that swings with its heading: L m L^T, L being the identity but
+// for the lever arm in x and y in the column of heading.
+template <int D>
+StateMatrix<D> Swung(const StateMatrix<D>& m, double lever_x, double lever_y) {
+  constexpr int h = D - 1;
+  StateMatrix<D> rows = m;
+  rows.row(0) += lever_x * m.row(h);
+  rows.row(1) += lever_y * m.row(h);
+  StateMatrix<D> swung = rows;
+  swung.col(0) += lever_x * rows.col(h);
+  swung.col(1) += lever_y * rows.col(h);
+  return swung;
 }
 
 // The symmetric part.

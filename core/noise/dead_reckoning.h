@@ -29,8 +29,7 @@ StateMatrix<D> DeadReckoningTransition(const Pose& earlier, const Pose& later) {
 template <int D>
 StateMatrix<D> Swung(const StateMatrix<D>& covariance, const Pose& earlier,
                      const Pose& later) {
-  const StateMatrix<D> psi = DeadReckoningTransition<D>(earlier, later);
-  return psi * covariance * psi.transpose();
+  return Swung<D>(covariance, -(later.y - earlier.y), later.x - earlier.x);
 }
 
 // Gamma in closed form. With h the index of heading and l the lever arm

@@ -125,6 +125,9 @@ void Anchors<D>::Weigh(NodeIndex first) {
     // Nothing is added where there is one way.
     if (part.log_way_weight != 0.0) part.log_weight += part.log_way_weight;
   }
+  log_counting_ = std::log(static_cast<double>(
+      std::count_if(parts_.begin(), parts_.end(),
+                    [](const Part& part) { return part.counts; })));
 }
 
 template <int D>
@@ -260,26 +263,23 @@ const double* Anchors<D>::FurtherShift(const Part& part,
   return axes.further;
 }
 
-template <int D>
-std::size_t Anchors<D>::PossibleParts(std::size_t i) const {
-  return static_cast<std::size_t>(
-      std::count_if(parts_.begin(), parts_.end(), [i](const Part& part) {
-        return part.counts && part.similarity.log_similarity[i] != kImpossible;
-      }));
-}
-
 // All parts together come to no more than as many times the greatest of them,
-// so that one of them has to come to its share.
+// so that one of them has to come to its share: most often the one that did
+// for the end before.
 template <int D>
 bool Anchors<D>::MayReach(std::size_t i, const StateVector<D>& shift,
                           std::optional<std::int64_t> steps, double least) {
-  const std::size_t possible = PossibleParts(i);
-  const double share =
-      possible == 1 ? least : least - std::log(static_cast<double>(possible));
-  return std::any_of(parts_.begin(), parts_.end(), [&](const Part& part) {
-    return part.counts && part.similarity.log_similarity[i] != kImpossible &&
-           PartMayReach(part, i, shift, steps, share);
-  });
+  const double share = least - log_counting_;
+  if (PartMayReach(parts_[reached_], i, shift, steps, share)) return true;
+  for (std::size_t part = 0; part < parts_.size(); ++part) {
+    if (part == reached_ ||
+        !PartMayReach(parts_[part], i, shift, steps, share)) {
+      continue;
+    }
+    reached_ = part;
+    return true;
+  }
+  return false;
 }
 
 // With d the difference as it is shifted, G its covariance and A what a path
@@ -290,6 +290,9 @@ template <int D>
 bool Anchors<D>::PartMayReach(const Part& part, std::size_t i,
                               const StateVector<D>& shift,
                               std::optional<std::int64_t> steps, double least) {
+  if (!part.counts || part.similarity.log_similarity[i] == kImpossible) {
+    return false;
+  }
   // What there is left for the square, which is no less than 0.
   const double left_over = 2.0 * (part.log_weight + part.unshifted[i] - least);
   if (left_over < 0.0) return false;

@@ -138,8 +138,6 @@ class Anchors {
                     const SimilarityModel& similarity,
                     const WeighedScale& scale);
   void TurnAxes(const Query& query, const FrameRelation& tie, Part* part);
-  // Counts the parts in which node i is possible.
-  std::size_t PossibleParts(std::size_t i) const;
   bool PartMayReach(const Part& part, std::size_t i,
                     const StateVector<D>& shift,
                     std::optional<std::int64_t> steps, double least);
@@ -159,6 +157,10 @@ class Anchors {
   std::vector<Axes> part_axes_;
   // Nodes that are told of.
   std::size_t count_ = 0;
+  // The logarithm of how many parts count, and the one by which an end could
+  // last reach what was asked for.
+  double log_counting_ = 0.0;
+  std::size_t reached_ = 0;
   // Scratch: the bound of each part.
   std::vector<BlockColumn> part_bounds_;
 };

@@ -1,14 +1,15 @@
 #include "core/search/alignment/differences.h"
 
 #include <algorithm>
+#include <array>
 #include <cassert>
+#include <cstdint>
 #include <numeric>
 
 #include "core/drive/confirmed_loop.h"
 #include "core/drive/node_noise.h"
 #include "core/geometry/state_matrix.h"
 #include "core/noise/similarity_model.h"
-#include "core/search/alignment/search_progress.h"
 
 namespace revisit::core {
 namespace {
@@ -19,20 +20,34 @@ BlockColumn IndicesFrom(NodeIndex first) {
   return indices;
 }
 
+// For each of the nodes with these indices whether it lies before the
+// reference, as 1 or 0.
+using AreBefore = std::array<std::uint8_t, NodeBlock::kSize>;
+
+AreBefore FindBefore(const BlockColumn& indices, NodeIndex reference) {
+  const auto first_after = static_cast<double>(reference);
+  AreBefore before;
+  for (std::size_t i = 0; i < before.size(); ++i) {
+    before[i] = indices[i] < first_after ? 1 : 0;
+  }
+  return before;
+}
+
 // On which sides of the reference the nodes of a group lie.
 struct SidesOf {
-  SidesOf(const BlockNodes& before, std::size_t count, std::size_t first) {
+  SidesOf(const AreBefore& before, std::size_t count, std::size_t first) {
     const std::size_t last = std::min(count, first + NodeBlock::kGroupSize);
-    for (std::size_t i = first; i < last; ++i) {
-      (before[i] ? has_before : has_after) = true;
-    }
+    std::size_t number = 0;
+    for (std::size_t i = first; i < last; ++i) number += before[i];
+    has_before = number > 0;
+    has_after = number < last - first;
   }
   bool operator==(const SidesOf& other) const {
     return has_before == other.has_before && has_after == other.has_after;
   }
 
-  bool has_before = false;
-  bool has_after = false;
+  bool has_before;
+  bool has_after;
 };
 
 template <int D>
@@ -129,14 +144,10 @@ void Differences<D>::FindTied(const NodeBlock& nodes, const NodeBlock& next,
                               NodeIndex first, const BlockColumn* indices,
                               std::size_t count,
                               DifferenceBlock* differences) const {
-  BlockNodes before;
-  for (std::size_t i = 0; i < count; ++i) {
-    const NodeIndex node = indices == nullptr
-                               ? first + static_cast<NodeIndex>(i)
-                               : static_cast<NodeIndex>((*indices)[i]);
-    before[i] = node < reference_;
-  }
-  const BlockColumn& all = indices == nullptr ? IndicesFrom(first) : *indices;
+  BlockColumn own;
+  if (indices == nullptr) own = IndicesFrom(first);
+  const BlockColumn& all = indices == nullptr ? own : *indices;
+  const AreBefore before = FindBefore(all, reference_);
   // Groups that hold nodes before the reference, others, or both, are found in
   // runs.
   EntryRange run;
@@ -160,7 +171,7 @@ void Differences<D>::FindTied(const NodeBlock& nodes, const NodeBlock& next,
     of_before.count = differences->count;
     FindSide(before_, nodes, next, run, &of_before);
     for (std::size_t i = run.first; i < std::min(run.last, count); ++i) {
-      if (before[i]) CopyDifference<D>(of_before, i, differences);
+      if (before[i] != 0) CopyDifference<D>(of_before, i, differences);
     }
   }
 }

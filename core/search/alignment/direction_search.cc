@@ -1,7 +1,10 @@
 #include "core/search/alignment/direction_search.h"
 
 #include <algorithm>
+#include <functional>
+#include <map>
 #include <utility>
+#include <vector>
 
 #include "core/drive/pose_graph.h"
 #include "core/search/should_stop.h"
@@ -12,11 +15,19 @@ namespace {
 // Ends that are less probable than the best by this share (e^-7) are sampled.
 constexpr double kMostLogShareSampled = -7.0;
 
-// Ends that may be about as good keep the order of the graph, so that a block
-// that is read for one end is at hand for the next.
-bool IsLikelier(const KeptEnd& a, const KeptEnd& b) {
-  if (a.drifts != b.drifts) return a.drifts > b.drifts;
-  return a.step != b.step ? a.step > b.step : a.node < b.node;
+// Sorts ends so that those come first that may be the best. Ends that may be
+// about as good keep their order, which is that of the graph, so that a block
+// that is read for one end is at hand for the next. There are few steps.
+void SortByLikelihood(std::vector<KeptEnd>* ends) {
+  std::map<std::pair<std::size_t, double>, std::vector<KeptEnd>, std::greater<>>
+      sorted;
+  for (const KeptEnd& end : *ends) {
+    sorted[{end.drifts, end.step}].push_back(end);
+  }
+  ends->clear();
+  for (const auto& [key, alike] : sorted) {
+    ends->insert(ends->end(), alike.begin(), alike.end());
+  }
 }
 
 }  // namespace
@@ -68,7 +79,7 @@ bool DirectionSearch<D>::SearchLikely(std::vector<KeptEnd> kept,
                                       const ShouldStop& should_stop,
                                       SearchProgress* progress,
                                       std::vector<KeptEnd>* others) {
-  std::sort(kept.begin(), kept.end(), IsLikelier);
+  SortByLikelihood(&kept);
   std::size_t last = 0;
   for (std::size_t first = 0; first < kept.size(); first = last) {
     if (should_stop && should_stop()) return false;

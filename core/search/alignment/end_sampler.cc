@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <limits>
 
 #include "core/search/alignment/anchors.h"
@@ -62,10 +63,11 @@ bool EndSampler<D>::Sample(std::vector<std::size_t> blocks,
                            const ShouldStop& should_stop,
                            SearchProgress* progress) {
   const std::size_t at_a_time = NodeBlock::kSize / samples_of_block_;
-  std::stable_sort(blocks.begin(), blocks.end(),
-                   [this](std::size_t a, std::size_t b) {
-                     return DriftsInto(a) > DriftsInto(b);
-                   });
+  std::sort(blocks.begin(), blocks.end(), [this](std::size_t a, std::size_t b) {
+    const std::size_t into_a = DriftsInto(a);
+    const std::size_t into_b = DriftsInto(b);
+    return into_a != into_b ? into_a > into_b : a < b;
+  });
   std::size_t last = 0;
   for (std::size_t first = 0; first < blocks.size(); first = last) {
     if (should_stop && should_stop()) return false;
@@ -126,11 +128,11 @@ void EndSampler<D>::SampleAround(const Sampled& sample,
   const double may_be = ratio_for(least);
   const double kept = ratio_for(inputs_.model.most_log_odds_sampled);
   const std::size_t drifts = DriftsInto(sample.block);
-  const auto keep = [&](std::size_t i, double nodes) {
+  const auto end_at = [&](std::size_t i, double nodes) {
     const double most = possible ? around + weight * ratios[i]
                                  : std::numeric_limits<double>::infinity();
-    kept_.push_back({first + static_cast<NodeIndex>(i), ratios[i], most,
-                     std::floor(most / kAboutAsGood), nodes, drifts});
+    return KeptEnd{first + static_cast<NodeIndex>(i), ratios[i], most,
+                   std::floor(most / kAboutAsGood),   nodes,     drifts};
   };
   // One stands for all that cannot: the sample, unless that can itself.
   double stands_for = 0.0;
@@ -140,7 +142,7 @@ void EndSampler<D>::SampleAround(const Sampled& sample,
     if (!sought[i]) {
       progress->Consider(node);
     } else if (!possible || ratios[i] > kept) {
-      keep(i, 1.0);
+      kept_.push_back(end_at(i, 1.0));
     } else if (!(ratios[i] < may_be)) {
       progress->Consider(node);
       stands_for += 1.0;
@@ -148,7 +150,15 @@ void EndSampler<D>::SampleAround(const Sampled& sample,
       if (standing == NodeBlock::kSize || is_sample) standing = i;
     }
   }
-  if (standing != NodeBlock::kSize) keep(standing, stands_for);
+  if (standing == NodeBlock::kSize) return;
+  const KeptEnd end = end_at(standing, stands_for);
+  auto at = kept_.end();
+  while (at != kept_.begin() && std::prev(at)->node > end.node &&
+         std::prev(at)->node <
+             first + static_cast<NodeIndex>(begin + stride_)) {
+    --at;
+  }
+  kept_.insert(at, end);
 }
 
 // Whether the nodes that a sample stands for lie about where it does, none of

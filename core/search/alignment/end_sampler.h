@@ -56,7 +56,8 @@ class EndSampler {
   bool Sample(std::vector<std::size_t> blocks, const ShouldStop& should_stop,
               SearchProgress* progress);
 
-  // The ends that were kept since the last call.
+  // The ends that were kept since the last call: those into whose blocks the
+  // same drifts reach together, in the order of the graph.
   std::vector<KeptEnd> TakeKept() { return std::exchange(kept_, {}); }
 
  private:

@@ -52,7 +52,7 @@ class PathAxes {
  private:
   // A covariance in the axes of the vehicle at the end.
   StateMatrix<D> Turned(const StateMatrix<D>& covariance) const {
-    return turn_ * covariance * turn_.transpose();
+    return core::Turned<D>(covariance, turn_(0, 0), turn_(1, 0));
   }
 
   const RecentPath<D>& recent_;

@@ -214,10 +214,18 @@ void PathWalk<D>::WalkAll(const IsUseless& is_useless) {
     }
     if (after > before) Merge(before, &done);
     if (tracing_) Record(t);
-    for (std::size_t i = after; i-- > 0;) {
-      if (!done[i]) continue;
+    const auto end_if_done = [&](std::size_t i) {
+      if (!done[i]) return;
       Credit(i);
       walkers_.Remove(i);
+    };
+    if (after == before) {
+      // Nothing else has ended, and these are in the order of the walkers.
+      for (std::size_t k = unsettled_.size(); k-- > 0;) {
+        end_if_done(unsettled_[k].walker);
+      }
+    } else {
+      for (std::size_t i = after; i-- > 0;) end_if_done(i);
     }
   }
   for (std::size_t i = 0; i < walkers_.size(); ++i) Credit(i);

@@ -321,14 +321,15 @@ template <int D>
 void ShapeFilter<D>::Errors::Advance(const StateMatrix<D>& noise,
                                      const StateMatrix<D>& tolerance,
                                      const StateMatrix<D>& jitter, Step* step) {
-  StateMatrix<D> f = StateMatrix<D>::Identity();
-  f(0, D - 1) = -step->step_y;
-  f(1, D - 1) = step->step_x;
-  const StateMatrix<D> turn = TurnAbout<D>(step->path(D - 1));
+  constexpr int h = D - 1;
+  const double cosine = std::cos(step->path(h));
+  const double sine = std::sin(step->path(h));
   const StateMatrix<D> predicted =
-      Symmetric<D>(f * now * f.transpose() + turn * noise * turn.transpose());
-  cross = (cross * f.transpose()).eval();
-  const StateMatrix<D> straying = tolerance + turn * jitter * turn.transpose();
+      Symmetric<D>(Swung<D>(now, -step->step_y, step->step_x) +
+                   Turned<D>(noise, cosine, sine));
+  cross.col(0) -= step->step_y * cross.col(h);
+  cross.col(1) += step->step_x * cross.col(h);
+  const StateMatrix<D> straying = tolerance + Turned<D>(jitter, cosine, sine);
   step->information = Inverse<D>(predicted + straying);
   step->gain = predicted * step->information;
   step->end_gain = cross * step->information;

@@ -2,7 +2,10 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <cstddef>
+#include <memory>
 #include <set>
 #include <vector>
 
@@ -11,7 +14,9 @@
 #include "core/drive/motion_history.h"
 #include "core/drive/node_range.h"
 #include "core/drive/pose_graph.h"
+#include "core/search/alignment/recent_path.h"
 #include "core/search/alignment/relative.h"
+#include "core/search/alignment/walked_ends.h"
 #include "tests/core/graphs.h"
 #include "tests/core/search/alignment/towns.h"
 #include "tests/random.h"
@@ -172,6 +177,52 @@ void Print(const PruningSeen& seen) {
             << seen.of_nodes << "; steps over loop closures " << seen.over_loops
             << "; seen before " << seen.seen_places << "; blocks that grow "
             << seen.growing << "\n";
+}
+
+void ExpectTheSameEnds(const RelativeAlignment& a, const RelativeAlignment& b,
+                       Direction direction) {
+  const ScoredEnds& ends = a.ends(direction);
+  ASSERT_EQ(ends.size(), b.ends(direction).size());
+  for (std::size_t i = 0; i < ends.size(); ++i) {
+    ASSERT_EQ(ends[i].node, b.ends(direction)[i].node);
+    ASSERT_EQ(ends[i].score, b.ends(direction)[i].score);
+    const ShapeMatch& match = a.match(direction, ends[i].node);
+    const ShapeMatch& other = b.match(direction, ends[i].node);
+    EXPECT_EQ(match.log_likelihood_ratio, other.log_likelihood_ratio);
+    EXPECT_EQ(match.squared_innovations, other.squared_innovations);
+    EXPECT_EQ(match.squared_end_difference, other.squared_end_difference);
+    EXPECT_EQ(match.steps, other.steps);
+  }
+}
+
+TEST(AlignRelativePruningTest,
+     PathsThatAnotherSearchHasWalkedAreThoseOfItsOwn) {
+  std::mt19937_64 random = SeededRandom();
+  std::size_t found = 0;
+  for (int trial = 0; trial < 300; ++trial) {
+    const Town town = RandomTown(random);
+    SCOPED_TRACE(town.Text());
+    RelativeModel strict = town.model;
+    strict.over_loops = false;
+    strict.least_log_share = Uniform(random, -5.0, 0.0);
+    RelativeModel lenient = strict;
+    lenient.least_log_share = Uniform(random, -40.0, -5.0);
+    if (town.model.drifts.empty()) lenient.scales = {{0.5, -1.0}, {2.0, -0.5}};
+    AlignmentParts parts;
+    parts.walked = std::make_shared<std::array<WalkedEnds, 2>>();
+    ASSERT_TRUE(
+        AlignRelative(town.Asked(), town.Past(), strict, nullptr, &parts));
+    const auto after =
+        AlignRelative(town.Asked(), town.Past(), lenient, nullptr, &parts);
+    const auto alone =
+        AlignRelative(town.Asked(), town.Past(), lenient, nullptr);
+    ASSERT_TRUE(after && alone);
+    for (const Direction direction : {Direction::kSame, Direction::kOpposite}) {
+      ExpectTheSameEnds(*after, *alone, direction);
+      found += alone->ends(direction).size();
+    }
+  }
+  EXPECT_GT(found, 1000u);
 }
 
 TEST(AlignRelativePruningTest, LeavesOutLowOddsAloneInSmallTowns) {
