@@ -145,8 +145,8 @@ class Columns {
     return size == transition_ && (size == 0 || size == 9 || size == 16);
   }
 
-  // Of covariances that are all the same, one is left, and of diagonal ones the
-  // diagonals.
+  // Leaves one of covariances that are all the same, and the diagonals of
+  // diagonal ones.
   void ShortenCovariances() {
     const auto values =
         static_cast<std::size_t>(ValuesOf(columns_.covariance_form()));

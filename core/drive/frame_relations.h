@@ -33,9 +33,9 @@ class FrameRelations {
   FrameRelations(const FrameNodes& nodes, const Recordings& recordings,
                  NodeIndex query, const std::vector<ConfirmedLoop>& loops);
 
-  // Those of `base` but for all that ties frames [first, last), to add to.
-  // Nothing of it is copied: it must outlive this, and nothing is added to it
-  // any more. O(frames). REQUIRES: it has a drive, and no base itself.
+  // The relations of `base` but for all that ties frames [first, last), to add
+  // to. Nothing of it is copied: it must outlive this, and nothing is added to
+  // it any more. O(frames). REQUIRES: it has a drive, and no base itself.
   FrameRelations(const FrameRelations* base, std::size_t first,
                  std::size_t last);
 
@@ -129,7 +129,7 @@ class FrameRelations {
                                    const std::vector<std::size_t>& places,
                                    std::size_t count) const;
 
-  // What this adds to, or null; without what ties the frames that are cut.
+  // The base that this adds to, or null; all that ties cut frames is left out.
   const FrameRelations* base_ = nullptr;
   std::size_t cut_first_ = 0;
   std::size_t cut_last_ = 0;

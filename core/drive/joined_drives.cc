@@ -101,7 +101,7 @@ void JoinedDrives::PoolMotion(const JoinedDrives* before) {
   }
 }
 
-// That of views that were joined before is known.
+// The growth of views that were joined before is known.
 void JoinedDrives::FindGrowth(const JoinedDrives* before) {
   std::unordered_map<const DriveView*, std::size_t> known;
   for (std::size_t d = 0; before != nullptr && d < before->size(); ++d) {

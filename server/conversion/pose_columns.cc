@@ -112,7 +112,7 @@ void PoseColumns::CheckLengths(const FieldPath& path,
       CheckPerPose(given, per_pose, may_be_one, path.Field(name), violations);
     }
   };
-  // Those that must be there where another one is.
+  // Some must be there where another one is.
   const auto check_beside = [&](const char* name, int given, int other) {
     if (other > 0 || given > 0) {
       CheckPerPose(given, 1, false, path.Field(name), violations);
@@ -257,7 +257,7 @@ std::string PoseColumns::ColumnOf(std::size_t index,
                       : Element("stamp_step_nanos", index - 1);
   }
   if (name == "sequence") return "first_sequence";
-  // Of the wrong kind for the vehicle, as all of them are.
+  // All positions are of the wrong kind for the vehicle.
   if (name == "local") return "x_meters";
   if (name == "geodetic") return "latitude_degrees";
   if (absl::ConsumePrefix(&name, "local.") ||

@@ -58,7 +58,7 @@ class PoseColumns {
   // Since the Unix epoch; empty if there are no stamps.
   std::vector<std::int64_t> stamps_ns_;
 
-  // What the fields of the last pose point to.
+  // The fields of the last pose point to these.
   google::protobuf::Timestamp stamp_;
   std::array<double, 36> covariance_{};
 };

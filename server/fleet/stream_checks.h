@@ -79,7 +79,7 @@ class StreamChecks : public std::enable_shared_from_this<StreamChecks> {
   void Add(const std::vector<std::uint64_t>& sequences)
       ABSL_LOCKS_EXCLUDED(mutex_);
 
-  // Those that wait are not made, the one under way ends soon without an
+  // Checks that wait are not made, the one under way ends soon without an
   // answer, and none begins any more. Once this has returned `searches` is
   // asked no more.
   void GiveUp() ABSL_LOCKS_EXCLUDED(mutex_);

@@ -293,7 +293,7 @@ bool Anchors<D>::PartMayReach(const Part& part, std::size_t i,
   if (!part.counts || part.similarity.log_similarity[i] == kImpossible) {
     return false;
   }
-  // What there is left for the square, which is no less than 0.
+  // So much is left for the square, which is no less than 0.
   const double left_over = 2.0 * (part.log_weight + part.unshifted[i] - least);
   if (left_over < 0.0) return false;
   if (!part.finder) return true;

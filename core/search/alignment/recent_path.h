@@ -52,7 +52,7 @@ struct AlignmentParts {
   // A RecentPath, and its PathAxes where the history lies as it did.
   std::shared_ptr<const void> path;
   std::shared_ptr<const void> axes;
-  // What else they share.
+  // All else that they share.
   std::shared_ptr<const void> parts;
   // The ends that were walked from, by IndexOf(direction), or null where these
   // need not be kept.

@@ -16,7 +16,7 @@ inline double LogAdd(double a, double b) {
   const double greater = std::max(a, b);
   if (greater == kImpossible) return greater;
   const double less = std::min(a, b) - greater;
-  // What is added is less than half of the last bit of a number that is not
+  // It would add less than half of the last bit of a number that is not
   // small itself.
   if (less < -kNegligible && std::abs(greater) >= 1.0) return greater;
   return greater + std::log1p(std::exp(less));

@@ -11,13 +11,13 @@ import {versionOf} from './groups.js';
 
 const POLL_MILLISECONDS = 1000;
 
-/** What came of the last decision that was made or deleted here. */
+/** The outcome of the last decision that was made or deleted here. */
 export interface Outcome {
   text: string;
   failed: boolean;
 }
 
-/** What a decision does from now on. */
+/** The effect that a decision has from now on. */
 const EFFECTS: Record<GroupDecision['kind'], string> = {
   linked: 'Later searches build on it.',
   rejected: 'Searches in the group offer it no more.',

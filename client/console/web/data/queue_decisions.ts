@@ -10,7 +10,7 @@ import type {QueueDeed} from './queue_deeds.js';
 
 const CLOSURES_A_PAGE = 1000;
 
-/** What a decision has made, and what it has deleted before. */
+/** The names that a decision has made, and has deleted before. */
 type Made = Pick<QueueDeed, 'act'|'made'|'deleted'>;
 
 /** The loop closure that confirmed a contradicted candidate. Undefined of other

@@ -1,4 +1,4 @@
-// What was done in the queue since the page was loaded, and what stands of it.
+// Deeds in the queue since the page was loaded, and which of them stand.
 import {batch, signal} from '@preact/signals';
 
 import {CandidateState} from '../../gen/revisit/v1/check_pb.js';
@@ -26,7 +26,7 @@ token.subscribe(() => batch(() => {
   readOnly.value = new Set();
 }));
 
-/** What one right is about: to decide about places in other vehicles takes
+/** The subject of a right: to decide about places in other vehicles takes
  * another one than about those in the vehicle's own history. */
 export function subjectOf(one: Waiting): string {
   return otherVehicleOf(one) === undefined ? one.vehicle :

@@ -4,7 +4,7 @@ import {useKeys} from './keys.js';
 
 /** Something that people do by a button or by its key. */
 export interface KeyedButton {
-  /** As KeyboardEvent.key has it. */
+  /** The name that KeyboardEvent.key has for it. */
   key: string;
   text: string;
   /** Undefined where it cannot be done now. */

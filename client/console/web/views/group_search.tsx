@@ -133,7 +133,7 @@ function Form({members, asked, onAsk}: Pick<Props, 'members'|'asked'|'onAsk'>) {
   );
 }
 
-/** What the panel says of the candidate that is chosen. */
+/** The panel's line about the candidate that is chosen. */
 function stateLine(store: GroupStore, current: GroupFound|undefined): string {
   if (!current) return 'No candidate is chosen.';
   const name = posesName(current);
@@ -174,7 +174,7 @@ export function SearchPanel(
     void store.decide(kind, current, drafts.get(key!) ?? '')
         .then(done => done && write(key!, ''));
   };
-  // What others have decided is deleted in the tables of decisions.
+  // Decisions of others are deleted in their tables.
   const undo = (made: GroupDecision) => {
     if (undoing !== made.name) {
       setUndoing(made.name);
