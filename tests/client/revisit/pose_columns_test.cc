@@ -15,7 +15,7 @@ namespace revisit::client {
 namespace {
 
 // How the poses of a batch are alike.
-struct Kind {
+struct Alike {
   bool has_stamps = false;
   bool is_geodetic = false;
   bool has_heights = false;
@@ -27,7 +27,7 @@ struct Kind {
   bool begins = false;
 };
 
-Kind RandomKind(std::mt19937_64& random) {
+Alike RandomAlike(std::mt19937_64& random) {
   const auto coin = [&] { return UniformInt(random, 0, 1) == 1; };
   return {coin(),
           coin(),
@@ -51,36 +51,36 @@ double RandomNumber(std::mt19937_64& random) {
   }
 }
 
-void AddCovariance(const Kind& kind, std::mt19937_64& random,
+void AddCovariance(const Alike& alike, std::mt19937_64& random,
                    v1::Covariance* covariance) {
-  covariance->set_form(kind.form);
-  const bool is_full = kind.form == v1::COVARIANCE_FORM_ROS_36;
-  const int size = kind.form == v1::COVARIANCE_FORM_PLANAR_6 ? 3
-                   : is_full                                 ? 6
-                                                             : 4;
+  covariance->set_form(alike.form);
+  const bool is_full = alike.form == v1::COVARIANCE_FORM_ROS_36;
+  const int size = alike.form == v1::COVARIANCE_FORM_PLANAR_6 ? 3
+                   : is_full                                  ? 6
+                                                              : 4;
   for (int r = 0; r < size; ++r) {
     for (int c = is_full ? 0 : r; c < size; ++c) {
-      covariance->add_values(r != c && kind.is_diagonal ? 0.0
-                                                        : RandomNumber(random));
+      covariance->add_values(
+          r != c && alike.is_diagonal ? 0.0 : RandomNumber(random));
     }
   }
 }
 
-std::vector<v1::Pose> RandomPoses(const Kind& kind, int count,
+std::vector<v1::Pose> RandomPoses(const Alike& alike, int count,
                                   std::mt19937_64& random) {
   std::vector<v1::Pose> poses;
   v1::Covariance covariance;
-  AddCovariance(kind, random, &covariance);
+  AddCovariance(alike, random, &covariance);
   for (int i = 0; i < count; ++i) {
     v1::Pose& pose = poses.emplace_back();
     pose.set_sequence(40 + static_cast<std::uint64_t>(i));
-    if (kind.has_stamps) {
+    if (alike.has_stamps) {
       // In any order, before the epoch too.
       pose.mutable_stamp()->set_seconds(UniformInt(random, -2, 2));
       pose.mutable_stamp()->set_nanos(UniformInt(random, 0, 999'999'999));
     }
-    const double height = kind.has_heights ? RandomNumber(random) : 0.0;
-    if (kind.is_geodetic) {
+    const double height = alike.has_heights ? RandomNumber(random) : 0.0;
+    if (alike.is_geodetic) {
       pose.mutable_geodetic()->set_latitude_degrees(RandomNumber(random));
       pose.mutable_geodetic()->set_longitude_degrees(RandomNumber(random));
       pose.mutable_geodetic()->set_height_meters(height);
@@ -89,20 +89,20 @@ std::vector<v1::Pose> RandomPoses(const Kind& kind, int count,
       pose.mutable_local()->set_y_meters(RandomNumber(random));
       pose.mutable_local()->set_z_meters(height);
     }
-    if (kind.has_quaternions) {
+    if (alike.has_quaternions) {
       pose.mutable_quaternion()->set_x(RandomNumber(random));
       pose.mutable_quaternion()->set_w(RandomNumber(random));
     } else {
       pose.set_heading_radians(RandomNumber(random));
     }
-    if (!kind.is_constant) {
+    if (!alike.is_constant) {
       covariance.Clear();
-      AddCovariance(kind, random, &covariance);
+      AddCovariance(alike, random, &covariance);
     }
     *pose.mutable_covariance() = covariance;
-    const bool is_first = i == 0 && kind.begins;
+    const bool is_first = i == 0 && alike.begins;
     if (is_first) pose.mutable_recording_start()->set_label("again");
-    for (int k = 0; k < kind.transition && !is_first; ++k) {
+    for (int k = 0; k < alike.transition && !is_first; ++k) {
       pose.add_error_transition(RandomNumber(random));
     }
   }
@@ -118,9 +118,9 @@ std::optional<v1::PoseColumns> ColumnsOf(const std::vector<v1::Pose>& poses) {
 TEST(PoseColumnsTest, SayWhatThePosesSayToTheBit) {
   std::mt19937_64 random = SeededRandom();
   for (int trial = 0; trial < 2000; ++trial) {
-    const Kind kind = RandomKind(random);
+    const Alike alike = RandomAlike(random);
     const std::vector<v1::Pose> poses =
-        RandomPoses(kind, UniformInt(random, 1, 5), random);
+        RandomPoses(alike, UniformInt(random, 1, 5), random);
     v1::PoseBatch sent;
     const auto columns = ColumnsOf(poses);
     ASSERT_TRUE(columns.has_value());
@@ -137,11 +137,11 @@ TEST(PoseColumnsTest, SayWhatThePosesSayToTheBit) {
 
 TEST(PoseColumnsTest, NumbersThatAllPosesHaveAreSentOnce) {
   std::mt19937_64 random = SeededRandom();
-  Kind kind;
-  kind.is_constant = true;
-  EXPECT_EQ(ColumnsOf(RandomPoses(kind, 5, random))->covariances_size(), 6);
-  kind.is_diagonal = true;
-  const auto columns = ColumnsOf(RandomPoses(kind, 5, random));
+  Alike alike;
+  alike.is_constant = true;
+  EXPECT_EQ(ColumnsOf(RandomPoses(alike, 5, random))->covariances_size(), 6);
+  alike.is_diagonal = true;
+  const auto columns = ColumnsOf(RandomPoses(alike, 5, random));
   EXPECT_EQ(columns->covariances_size(), 0);
   EXPECT_EQ(columns->covariance_diagonals_size(), 3);
   EXPECT_EQ(columns->z_meters_size(), 0);
@@ -149,9 +149,9 @@ TEST(PoseColumnsTest, NumbersThatAllPosesHaveAreSentOnce) {
 
 TEST(PoseColumnsTest, PosesThatAreNotAlikeHaveNoColumns) {
   std::mt19937_64 random = SeededRandom();
-  Kind kind;
-  kind.has_stamps = true;
-  kind.transition = 9;
+  Alike alike;
+  alike.has_stamps = true;
+  alike.transition = 9;
   const std::vector<std::function<void(v1::Pose*)>> changes = {
       [](v1::Pose* pose) { pose->clear_stamp(); },
       [](v1::Pose* pose) { pose->mutable_stamp()->set_nanos(-1); },
@@ -170,7 +170,7 @@ TEST(PoseColumnsTest, PosesThatAreNotAlikeHaveNoColumns) {
       [](v1::Pose* pose) { pose->mutable_recording_start(); },
   };
   for (std::size_t i = 0; i < changes.size(); ++i) {
-    std::vector<v1::Pose> poses = RandomPoses(kind, 4, random);
+    std::vector<v1::Pose> poses = RandomPoses(alike, 4, random);
     EXPECT_TRUE(ColumnsOf(poses).has_value());
     changes[i](&poses[2]);
     EXPECT_FALSE(ColumnsOf(poses).has_value()) << i;

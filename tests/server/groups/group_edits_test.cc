@@ -326,7 +326,8 @@ TEST_F(GroupEditsTest, MeasurementFitsTheStateSpace) {
   for (const double value : {1.0, 0.0, 0.0, -1.0, 0.0, 0.01}) values.Add(value);
   LinkContent content;
   content.content.measurement.emplace();
-  content.content.measurement->covariance = {CovarianceForm::kPlanar6, &values};
+  content.content.measurement->covariance =
+      CovarianceFields{CovarianceForm::kPlanar6, values};
   const NewLink wanted = {
       "l", {"car", 1}, {"truck", 1}, EncodeLinkContent(content)};
   EXPECT_THAT(

@@ -165,7 +165,7 @@ v1::PoseBatch SomePoses() {
 TEST(StoredBatchTest, PayloadIsThePoseBatchAsItCame) {
   const v1::PoseBatch batch = SomePoses();
   const auto decoded =
-      DecodeBatch(batch.poses(), kMaxPoses, Planar(), FieldPath());
+      DecodeBatch(SentPosesOf(batch), kMaxPoses, Planar(), FieldPath());
   ASSERT_THAT(decoded, IsOk());
   EXPECT_EQ(decoded->payload, batch.SerializeAsString());
 }
@@ -173,7 +173,7 @@ TEST(StoredBatchTest, PayloadIsThePoseBatchAsItCame) {
 TEST(StoredBatchTest, FingerprintsAreTheSameOnceStored) {
   const v1::PoseBatch batch = SomePoses();
   const auto sent =
-      DecodeBatch(batch.poses(), kMaxPoses, Planar(), FieldPath());
+      DecodeBatch(SentPosesOf(batch), kMaxPoses, Planar(), FieldPath());
   ASSERT_THAT(sent, IsOk());
   const ProtoRecordCodec codec;
   const auto stored = codec.DecodeBatch(sent->payload, Planar());
@@ -195,8 +195,9 @@ TEST(StoredBatchTest, FingerprintsAreTheSameOnceStored) {
 }
 
 TEST(StoredBatchTest, IsDividedIntoBatchesOfPosesUpToSomeBytes) {
+  const v1::PoseBatch batch = SomePoses();
   const auto sent =
-      DecodeBatch(SomePoses().poses(), kMaxPoses, Planar(), FieldPath());
+      DecodeBatch(SentPosesOf(batch), kMaxPoses, Planar(), FieldPath());
   ASSERT_THAT(sent, IsOk());
   const ProtoRecordCodec codec;
   const std::string& payload = sent->payload;
