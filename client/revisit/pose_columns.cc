@@ -136,11 +136,8 @@ class Columns {
   // All have as many numbers, but for the first pose, which may have none.
   bool AddTransition(const v1::Pose& pose) {
     const int size = pose.error_transition_size();
-    if (&pose == &first_) {
-      transition_ = size;
-    } else if (transition_ == 0 && columns_.pose_count() == 1) {
-      transition_ = size;
-    }
+    const bool first_has_none = transition_ == 0 && columns_.pose_count() == 1;
+    if (&pose == &first_ || first_has_none) transition_ = size;
     columns_.mutable_error_transitions()->MergeFrom(pose.error_transition());
     return size == transition_ && (size == 0 || size == 9 || size == 16);
   }
