@@ -183,7 +183,9 @@ def test_a_scope_that_goes_ends_the_stream_and_leaves_the_poses(
                 if kind == "ack":
                     acked = message.durable_sequence
         assert decode_failure(ended.value).reason == reason
-    assert acked == FIRST + 600 == get(stub, name_of(vehicle)).durable_sequence
+    # A check of the first poses may have ended it before the others came.
+    assert acked in (FIRST + 200, FIRST + 600)
+    assert acked == get(stub, name_of(vehicle)).durable_sequence
 
 
 def reason_of(call):
