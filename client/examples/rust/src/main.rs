@@ -120,6 +120,7 @@ async fn show_error(client: &mut Client, vehicle: &Vehicle, mut pose: Pose) {
         vehicle: vehicle.name.clone(),
         vehicle_uid: vehicle.uid.clone(),
         poses: vec![pose],
+        ..Default::default()
     };
     let Err(error) = client.append_poses(request).await else {
         return;

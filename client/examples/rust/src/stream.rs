@@ -116,6 +116,7 @@ async fn send(sender: mpsc::Sender<StreamPosesRequest>, poses: Vec<Pose>) {
     for batch in poses.chunks(BATCH) {
         let batch = PoseBatch {
             poses: batch.to_vec(),
+            ..Default::default()
         };
         if sender.send(request(Request::Batch(batch))).await.is_err() {
             return; // The stream is over.

@@ -74,7 +74,8 @@ async function* requests(
 ): AsyncIterable<StreamPosesRequest> {
   yield StreamPosesRequest.fromPartial({ open: opening });
   for (let next = Number(await opened); next < poses.length; next += BATCH) {
-    yield { batch: { poses: poses.slice(next, next + BATCH) } };
+    const batch = { poses: poses.slice(next, next + BATCH) };
+    yield StreamPosesRequest.fromPartial({ batch });
   }
 }
 
