@@ -321,10 +321,12 @@ void PoseStream::Rep::FillBatch(v1::StreamPosesRequest* request) {
   if (takes_columns) {
     std::vector<const v1::Pose*> poses;
     for (std::size_t i = sent; i < end; ++i) {
+      const v1::Pose& pose = pending[i].pose;
       // A recording begins a batch of its own.
-      if (i > sent && pending[i].pose.has_recording_start()) end = i;
-      if (i < end) poses.push_back(&pending[i].pose);
+      if (i > sent && pose.has_recording_start()) break;
+      poses.push_back(&pose);
     }
+    end = sent + poses.size();
     columns = PoseColumnsOf(poses);
   }
   if (columns) {

@@ -38,9 +38,7 @@ std::size_t DiagonalIndex(CovarianceForm form, std::size_t coordinate) {
   const std::size_t size = SizeOf(form);
   if (form == CovarianceForm::kRos36) return coordinate * (size + 1);
   // Row r of the upper triangle has size - r values.
-  return coordinate == 0
-             ? 0
-             : coordinate * size - coordinate * (coordinate - 1) / 2;
+  return coordinate * (2 * size - coordinate + 1) / 2;
 }
 
 constexpr char kColumnSize[] = "COLUMN_SIZE";
@@ -49,6 +47,12 @@ constexpr std::size_t kTransitionSizes[] = {9, 16};
 
 std::string Element(const char* column, std::size_t index) {
   return StrCat(column, "[", index, "]");
+}
+
+// Where the numbers of a pose begin in a column of so many in all; at 0 where
+// all poses have the same ones.
+std::size_t BeginOf(int all, std::size_t per_pose, std::size_t index) {
+  return static_cast<std::size_t>(all) == per_pose ? 0 : index * per_pose;
 }
 
 // The index behind a name such as "covariance.values[4]"; nothing without one.
@@ -197,12 +201,12 @@ CovarianceFields PoseColumns::CovarianceAt(std::size_t index) {
   if (!message_.covariances().empty()) {
     const absl::Span<const double> all = message_.covariances();
     return {form_,
-            all.subspan(all.size() == values_ ? 0 : index * values_, values_)};
+            all.subspan(BeginOf(message_.covariances_size(), values_, index),
+                        values_)};
   }
-  absl::Span<const double> variances = message_.covariance_diagonals();
-  if (variances.size() != diagonal_) {
-    variances = variances.subspan(index * diagonal_, diagonal_);
-  }
+  const double* const variances =
+      message_.covariance_diagonals().data() +
+      BeginOf(message_.covariance_diagonals_size(), diagonal_, index);
   for (std::size_t k = 0; k < diagonal_; ++k) {
     covariance_[DiagonalIndex(form_, k)] = variances[k];
   }
@@ -239,8 +243,7 @@ PoseFields PoseColumns::At(std::size_t index) {
   fields.covariance = CovarianceAt(index);
   if (transition_ > 0 && !(first_has_none_ && index == 0)) {
     const absl::Span<const double> all = message_.error_transitions();
-    fields.error_transition = all.subspan(
-        (first_has_none_ ? index - 1 : index) * transition_, transition_);
+    fields.error_transition = all.subspan(TransitionBegin(index), transition_);
   }
   if (index == 0 && message_.has_recording_start()) {
     fields.recording_start = std::make_shared<const RecordingStartFields>(
@@ -275,27 +278,26 @@ std::string PoseColumns::ColumnOf(std::size_t index,
   }
   std::size_t number = 0;
   if (TakeIndex(name, "error_transition", &number)) {
-    const std::size_t pose = first_has_none_ ? index - 1 : index;
-    return Element("error_transitions", pose * transition_ + number);
+    return Element("error_transitions", TransitionBegin(index) + number);
   }
   if (name == "error_transition") return "error_transitions";
   if (name == "covariance.form") return "covariance_form";
   if (absl::ConsumePrefix(&name, "covariance.")) {
     TakeIndex(name, "values", &number);
     if (!message_.covariances().empty()) {
-      const auto all = static_cast<std::size_t>(message_.covariances_size());
-      return Element("covariances",
-                     (all == values_ ? 0 : index * values_) + number);
+      return Element(
+          "covariances",
+          BeginOf(message_.covariances_size(), values_, index) + number);
     }
-    const auto all =
-        static_cast<std::size_t>(message_.covariance_diagonals_size());
     std::size_t coordinate = 0;
     while (coordinate + 1 < diagonal_ &&
            DiagonalIndex(form_, coordinate) < number) {
       ++coordinate;
     }
-    return Element("covariance_diagonals",
-                   (all == diagonal_ ? 0 : index * diagonal_) + coordinate);
+    return Element(
+        "covariance_diagonals",
+        BeginOf(message_.covariance_diagonals_size(), diagonal_, index) +
+            coordinate);
   }
   return field;
 }

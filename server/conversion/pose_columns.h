@@ -8,7 +8,6 @@
 #include <string>
 #include <vector>
 
-#include "absl/status/status.h"
 #include "google/protobuf/timestamp.pb.h"
 #include "revisit/v1/pose_columns.pb.h"
 #include "server/fields/field_violations.h"
@@ -44,6 +43,10 @@ class PoseColumns {
   void ReadTransitions(const FieldPath& path, Violations* violations);
   void ReadStamps(const FieldPath& path, Violations* violations);
   CovarianceFields CovarianceAt(std::size_t index);
+  // Where the transition of a pose that has one begins in its column.
+  std::size_t TransitionBegin(std::size_t index) const {
+    return (first_has_none_ ? index - 1 : index) * transition_;
+  }
 
   const v1::PoseColumns& message_;
   const CovarianceForm form_;

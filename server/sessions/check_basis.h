@@ -85,8 +85,8 @@ class CheckBasis {
   void Refresh();
   // How far from a rejected candidate, along the path, a search heeds it.
   double RejectionRadius() const;
-  // Of the ties that concern a check at a node, joined to `hash`; where there
-  // are none, `hash` itself.
+  // Joins the ties that concern a check at a node to `hash`; where there are
+  // none, it is `hash` itself.
   std::uint64_t JoinedTies(std::uint64_t hash, core::NodeIndex node,
                            const CheckTiesPtr& ties) const;
 

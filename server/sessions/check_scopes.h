@@ -51,7 +51,7 @@ struct CheckScope {
   // By their index among the scope's drives.
   std::vector<Vehicle> vehicles;
   std::string group_id;
-  // As of the group that is searched; never null.
+  // The ties in the group that is searched; never null.
   CheckTiesPtr ties = std::make_shared<const CheckTies>();
   // For CheckCodec::EncodeFound().
   std::shared_ptr<const GroupScope> group = nullptr;

@@ -524,7 +524,7 @@ TEST(SearchScopeTest, GrowthIsThatOfEachViewAndIsForgottenWithIt) {
       EXPECT_EQ(growth_of.all_grow, d == 0);
     }
   }
-  // That from the first node of a recording is joined, where errors grow.
+  // Growth from the first node of a recording is found where it is joined.
   EXPECT_EQ(growth.size(), 3u);
   growth.Enter(joining({{kept}}));
   EXPECT_EQ(growth.size(), 2u);

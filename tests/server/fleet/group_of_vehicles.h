@@ -127,7 +127,7 @@ class GroupOfVehicles : public ::testing::Test {
                 IsOk());
   }
 
-  // As after a restart: no vehicle is in memory.
+  // Begins with no vehicle in memory, as a server does.
   void Start() {
     searches_.reset();
     fleet_.reset();

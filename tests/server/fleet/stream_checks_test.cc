@@ -26,7 +26,7 @@ using ::testing::_;
 using ::testing::ElementsAre;
 using ::testing::IsEmpty;
 
-// What came of checks and appends, in the order in which it did.
+// The outcomes of checks and appends, in the order in which they came.
 class Events {
  public:
   void Add(std::string event) {
@@ -111,7 +111,7 @@ class StreamChecksTest : public GroupOfVehicles {
   ~StreamChecksTest() override {
     if (checks_ == nullptr) return;
     checks_->GiveUp();
-    // What is under way notes events.
+    // Checks and appends that are under way note events.
     EXPECT_TRUE(Eventually([&] {
       return checks_->idle() && events_.CountOf("ack") == appended_;
     }));
