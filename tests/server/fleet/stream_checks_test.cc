@@ -144,6 +144,15 @@ class StreamChecksTest : public GroupOfVehicles {
     request.asking = "a";
     return request;
   }
+  // The same, whose scope does not come to be ready while this is held.
+  static ScopeRequest HeldSite(const std::atomic<bool>* held) {
+    ScopeRequest request = Site();
+    request.may_read = [held](const std::string&) {
+      while (*held) std::this_thread::yield();
+      return true;
+    };
+    return request;
+  }
 
   void Restart() {
     checks_.reset();
@@ -189,12 +198,7 @@ TEST_F(StreamChecksTest, AreMadeInTheirOrder) {
 
 TEST_F(StreamChecksTest, AcknowledgementsDoNotWaitForThem) {
   std::atomic<bool> held{false};
-  ScopeRequest scope = Site();
-  scope.may_read = [&held](const std::string&) {
-    while (held) std::this_thread::yield();
-    return true;
-  };
-  Begin(scope);
+  Begin(HeldSite(&held));
   ASSERT_THAT(Open(), IsOk());
   held = true;
   for (const std::uint64_t first : {201, 206, 211}) Append(first);
@@ -300,12 +304,7 @@ TEST_F(StreamChecksTest, SeveralAtOnePoseAreOne) {
 
 TEST_F(StreamChecksTest, AreGivenUp) {
   std::atomic<bool> held{true};
-  ScopeRequest scope = Site();
-  scope.may_read = [&held](const std::string&) {
-    while (held) std::this_thread::yield();
-    return true;
-  };
-  Begin(scope);
+  Begin(HeldSite(&held));
   Append(201);
   Append(206);
   ASSERT_TRUE(ComesToBe("ack 210"));
