@@ -67,9 +67,12 @@ std::string NameIn(const PoseColumns& columns, const std::string& name) {
 }  // namespace
 
 std::uint64_t SentPoses::count() const {
-  const int in_columns = columns == nullptr ? 0 : columns->pose_count();
-  return static_cast<std::uint64_t>(poses->size()) +
-         static_cast<std::uint64_t>(std::max(0, in_columns));
+  auto count = static_cast<std::uint64_t>(poses->size());
+  if (columns == nullptr) return count;
+  const int places =
+      std::max(columns->x_meters_size(), columns->latitude_degrees_size());
+  return count + static_cast<std::uint64_t>(
+                     std::clamp(columns->pose_count(), 0, places));
 }
 
 absl::StatusOr<DecodedBatch> DecodeBatch(const SentPoses& sent, int max_poses,

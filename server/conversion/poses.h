@@ -28,7 +28,8 @@ struct SentPoses {
   // Null if absent.
   const v1::PoseColumns* columns;
 
-  // How many there are by their own account, or more where both are there.
+  // How many there are in both forms; of columns those that they claim and have
+  // places for, so that a caller counts for no more than it has sent.
   std::uint64_t count() const;
 };
 

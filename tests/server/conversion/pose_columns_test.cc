@@ -234,6 +234,16 @@ TEST(PoseColumnsTest, AnyNumberOfPosesButThoseOfABatchIsRefused) {
   }
 }
 
+TEST(PoseColumnsTest, CountForNoMoreThanWasSent) {
+  const Poses none;
+  v1::PoseColumns columns = SomeColumns(3);
+  EXPECT_EQ((SentPoses{&none, &columns}.count()), 3u);
+  columns.set_pose_count(std::numeric_limits<int>::max());
+  EXPECT_EQ((SentPoses{&none, &columns}.count()), 3u);
+  columns.set_pose_count(-1);
+  EXPECT_EQ((SentPoses{&none, &columns}.count()), 0u);
+}
+
 TEST(PoseColumnsTest, ColumnsThatAreTooLongOrTooShortAreNamed) {
   ExpectRefused([](v1::PoseColumns* c) { c->add_x_meters(1.0); }, "COLUMN_SIZE",
                 {"x_meters"});
