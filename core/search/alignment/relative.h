@@ -16,8 +16,8 @@
 //   each slip; w discounts it for what neighbouring nodes share. c is the cost
 //   of a place at which roads join, which LLR has back where q covers all of
 //   the recent path (kJoinCost).
-// - b is by how much shapes are alike by chance (chance_ratio.h), in other
-//   recordings where other drives are searched; else 0.
+// - b is by how much shapes and headings are alike by chance (chance.h), in
+//   other recordings where other drives are searched; else 0.
 // - a is how far the end poses stray by themselves, as the smoother has it
 //   after q, and A is by how much that is more certain than R says. Both are 0
 //   where q is the end alone. This is the joint density of the whole window,

@@ -56,9 +56,8 @@ struct RelativeModel {
   ShapeModel shape;
   double spacing_meters = 2.0;
   double road_spacing_meters = 200.0;
-  // By how much, as a logarithm, shapes are as likely by chance as their ratio
-  // says they are on the same road (chance_ratio.h).
-  double log_chance_ratio = 0.0;
+  // How much of the log-odds comes by chance (Chance::log_odds()).
+  double log_chance = 0.0;
   bool same_direction = true;
   bool opposite_direction = false;
   // The loop closure that has shown the drift; none unless

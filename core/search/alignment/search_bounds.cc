@@ -54,7 +54,7 @@ SearchBounds<D>::SearchBounds(const Query& query, const History& history,
       recent_(recent),
       axes_(axes),
       constant_(LogNewPlaceTerm(model) - recent.filter().join_cost() -
-                model.log_chance_ratio),
+                model.log_chance),
       stride_(StrideOf(history.size())) {}
 
 // The difference d_i of an end i near j is d_j + s, with s as far as the two

@@ -10,7 +10,7 @@
 
 #include "core/drive/pose_graph.h"
 #include "core/noise/similarity_model.h"
-#include "core/search/alignment/chance_ratio.h"
+#include "core/search/alignment/chance.h"
 #include "core/search/alignment/far_histories.h"
 #include "core/search/alignment/relative.h"
 #include "core/search/candidates/gate.h"
@@ -108,17 +108,17 @@ class RelativeSearch {
   // Aligns the query with one history after the other; alignments do not depend
   // on each other. False if told to stop.
   bool Align() {
-    MeasureChance();
+    WeighChance();
     return VisitAlignments(task_, model_, across_, passed_over_,
                            [this](const History&, RelativeAlignment found) {
                              alignments_.push_back(std::move(found));
                            });
   }
 
-  // Measures how well other recordings match by chance, where other drives are
+  // Lets what other recordings match by chance count, where other drives are
   // searched: recordings of one drive whose frames are known exactly are as one
   // recording. The alignments take over the recent path.
-  void MeasureChance() {
+  void WeighChance() {
     const std::vector<History>& histories = task_.histories;
     const auto other = std::find_if(
         histories.begin(), histories.end(),
@@ -130,8 +130,8 @@ class RelativeSearch {
                                 : (*task_.parts)[static_cast<std::size_t>(
                                       other - histories.begin())];
     if (parts.path == nullptr) parts.path = passed_over_.path.path;
-    across_.log_chance_ratio =
-        LogChanceRatio(task_.across, histories, across_, &parts);
+    across_.log_chance =
+        MeasureChance(task_.across, histories, across_, &parts).log_odds();
   }
 
   const ShapeMatch& MatchOf(const RankedPlace& place) const {

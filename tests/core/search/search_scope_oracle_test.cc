@@ -4,6 +4,7 @@
 // the ends counts.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <map>
@@ -17,6 +18,7 @@
 #include "core/drive/joined_drives.h"
 #include "core/drive/pose_graph.h"
 #include "core/drive/recordings.h"
+#include "core/search/alignment/chance.h"
 #include "core/search/alignment/relative_model.h"
 #include "core/search/search.h"
 #include "core/search/search_scope.h"
@@ -125,8 +127,14 @@ class Brute {
         const NodeRange nodes = recordings.NodesOf(k, graph.size());
         for (NodeIndex j = nodes.first; j < nodes.last; ++j) {
           odds[{d, j}] = LogOddsOf(frames, tie, is_linked, j);
+          if (tie) CountHeading(frames, *tie, j);
         }
       }
+    }
+    if (elsewhere_ > 0.0L) {
+      const Wide log_heading = std::log(std::max<Wide>(
+          1.0L, 2.0L * oracle::kWidePi * headings_ / elsewhere_));
+      for (auto& [node, log_odds] : odds) log_odds -= log_heading;
     }
     AddOwn(&odds);
     return odds;
@@ -191,6 +199,26 @@ class Brute {
                     0.5L * D * std::log(2.0L * oracle::kWidePi));
   }
 
+  // Adds the density at the query's heading of the heading of a node where the
+  // vehicle is not.
+  void CountHeading(const WideFrames& frames, const WideTie& tie, NodeIndex j) {
+    const WideMatrix gamma = frames.Gamma(tie, query(), j, 1.0L) + tolerance_;
+    const auto difference = frames.Difference(tie, query(), j);
+    const Wide half = (gamma(0, 0) + gamma(1, 1)) / 2.0L;
+    const Wide most =
+        half + std::sqrt((half - gamma(0, 0)) * (half - gamma(0, 0)) +
+                         gamma(0, 1) * gamma(0, 1));
+    if (difference(0) * difference(0) + difference(1) * difference(1) <=
+        static_cast<Wide>(kSquaredElsewhere) * most) {
+      return;
+    }
+    const Wide variance = gamma(D - 1, D - 1);
+    const Wide heading = difference(D - 1);
+    headings_ += std::exp(-0.5L * heading * heading / variance) /
+                 std::sqrt(2.0L * oracle::kWidePi * variance);
+    ++elsewhere_;
+  }
+
   Wide NewPlaceDensity() const {
     const DriveSettings& settings = asking_.settings();
     const Wide roads = 2.0L / settings.search.road_spacing_meters /
@@ -232,6 +260,8 @@ class Brute {
   const SearchScope& scope_;
   WideMatrix tolerance_;
   WideMatrix confirmed_;
+  Wide headings_ = 0.0L;
+  Wide elsewhere_ = 0.0L;
 };
 
 // How a drive's two recordings and links place it.

@@ -44,7 +44,7 @@ Datums ThreeDatums() {
 }
 
 // So wide that no node is surely elsewhere, by which drives would weigh shapes
-// (chance_ratio.h).
+// (chance.h).
 Datums WideDatums() {
   return {DatumAt({10.0, 20.0, 0.0, 0.3}, 300.0, 0.02),
           DatumAt({-30.0, 5.0, 0.0, -1.0}, 500.0, 0.03),

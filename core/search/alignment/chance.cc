@@ -1,10 +1,13 @@
-#include "core/search/alignment/chance_ratio.h"
+#include "core/search/alignment/chance.h"
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <memory>
+#include <optional>
 
 #include "core/drive/frame_relation.h"
+#include "core/geometry/heading.h"
 #include "core/geometry/pose.h"
 #include "core/geometry/state_matrix.h"
 #include "core/noise/comparison.h"
@@ -19,7 +22,12 @@ namespace {
 // By how many measured nodes one is fetched before it is looked at.
 constexpr NodeIndex kFetchedAhead = 6;
 
-// Says where in a history the vehicle is not.
+double NormalDensity(double deviation, double variance) {
+  return std::exp(-0.5 * deviation * deviation / variance) /
+         std::sqrt(2.0 * kPi * variance);
+}
+
+// Sees the nodes of a history where the vehicle is not.
 template <int D>
 class Elsewhere {
  public:
@@ -29,27 +37,49 @@ class Elsewhere {
       : graph_(history.graph),
         pair_(history.relation.frames(), history.relation.tie(), query.node,
               model.similarity.inflation),
-        tolerance_(StateMatrix<D>::Zero()) {
+        tolerance_(StateMatrix<D>::Zero()),
+        same_(model.same_direction),
+        opposite_(model.opposite_direction) {
     AddTolerance<D>(model.similarity.tolerance, &tolerance_);
   }
 
-  bool Has(NodeIndex j) const {
+  // The density of headings at the query's, per radian, were all roads to head
+  // as the node's does; the mean of the directions that are searched. Nothing
+  // where the vehicle may be.
+  std::optional<double> HeadingDensity(NodeIndex j) const {
     const Pose pose = graph_.pose(j);
     const StateMatrix<D> gamma =
         pair_.Covariance(j, pose, ToMatrix<D>(graph_.covariance(j))) +
         tolerance_;
     const double x = pose.x - pair_.query().x;
     const double y = pose.y - pair_.query().y;
-    return x * x + y * y >
-           kSquaredElsewhere *
-               VariancesInAnyDirection(gamma(0, 0), gamma(0, 1), gamma(1, 1))
-                   .most;
+    if (x * x + y * y <=
+        kSquaredElsewhere *
+            VariancesInAnyDirection(gamma(0, 0), gamma(0, 1), gamma(1, 1))
+                .most) {
+      return std::nullopt;
+    }
+    return MeanDensity(
+        pose.heading - pair_.query().heading,
+        std::max(gamma(D - 1, D - 1),
+                 kLeastHeadingDeviation * kLeastHeadingDeviation));
   }
 
  private:
+  double MeanDensity(double difference, double variance) const {
+    const double same =
+        same_ ? NormalDensity(WrapHeading(difference), variance) : 0.0;
+    const double opposite =
+        opposite_ ? NormalDensity(WrapHeading(difference + kPi), variance)
+                  : 0.0;
+    return (same + opposite) / (same_ && opposite_ ? 2.0 : 1.0);
+  }
+
   const PoseGraph& graph_;
   const FramePair<D> pair_;
   StateMatrix<D> tolerance_;
+  const bool same_;
+  const bool opposite_;
 };
 
 // The histories that are measured.
@@ -70,12 +100,13 @@ std::vector<const History*> Measured(const std::vector<History>& histories) {
   return measured;
 }
 
-// Gathers the ratios of nodes, each that of the best path back from it.
+// Gathers the ratios of nodes, each that of the best path back from it, and
+// their headings.
 template <int D>
-class Ratios {
+class ChanceMeter {
  public:
-  Ratios(const Query& query, const RelativeModel& model,
-         const RecentPath<D>& recent)
+  ChanceMeter(const Query& query, const RelativeModel& model,
+              const RecentPath<D>& recent)
       : query_(query),
         model_(model),
         recent_(recent),
@@ -88,7 +119,11 @@ class Ratios {
     for (NodeIndex j = first; j < history.end; j += stride) {
       const NodeIndex ahead = j + kFetchedAhead * stride;
       if (ahead < history.end) history.graph.Prefetch(ahead);
-      if (elsewhere.Has(j)) ends.push_back(j);
+      const std::optional<double> density = elsewhere.HeadingDensity(j);
+      if (!density) continue;
+      ends.push_back(j);
+      heading_density_ += *density;
+      ++nodes_;
     }
     if (ends.empty()) return;
     PoseTable table(history.graph, history.end);
@@ -108,7 +143,8 @@ class Ratios {
     }
   }
 
-  double LogMean() const {
+  // Of the nodes where the vehicle is not.
+  double LogMeanRatio() const {
     if (nats_.empty()) return 0.0;
     const auto count = static_cast<double>(nats_.size());
     const double most = std::log(count);
@@ -116,6 +152,14 @@ class Ratios {
     for (const double nats : nats_) sum += std::exp(std::min(nats, most));
     const double more = std::max(0.0, sum / count - 1.0);
     return std::log1p(kUnseenRatios * more);
+  }
+
+  // How many times as many roads head as the query does as if all ways were
+  // alike; at least 1.
+  double LogShareOfHeading() const {
+    if (nodes_ == 0) return 0.0;
+    const double density = heading_density_ / static_cast<double>(nodes_);
+    return std::log(std::max(1.0, 2.0 * kPi * density));
   }
 
  private:
@@ -134,40 +178,43 @@ class Ratios {
   const RecentPath<D>& recent_;
   const PathAxes<D> axes_;
   std::vector<double> nats_;
+  double heading_density_ = 0.0;
+  std::int64_t nodes_ = 0;
 };
 
 template <int D>
-double LogChanceRatioIn(const Query& query,
-                        const std::vector<History>& histories,
-                        const RelativeModel& model, AlignmentParts* parts) {
+Chance MeasureChanceIn(const Query& query,
+                       const std::vector<History>& histories,
+                       const RelativeModel& model, AlignmentParts* parts) {
   const std::vector<const History*> measured = Measured(histories);
   NodeIndex nodes = 0;
   for (const History* history : measured) nodes += history->size();
-  if (nodes == 0) return 0.0;
+  if (nodes == 0) return {};
   if (parts->path == nullptr) {
     parts->path = std::make_shared<const RecentPath<D>>(query, model);
   }
   const NodeIndex stride = (nodes + kMostMeasured - 1) / kMostMeasured;
-  Ratios<D> ratios(query, model,
-                   *std::static_pointer_cast<const RecentPath<D>>(parts->path));
+  ChanceMeter<D> meter(
+      query, model,
+      *std::static_pointer_cast<const RecentPath<D>>(parts->path));
   NodeIndex before = 0;
   for (const History* history : measured) {
-    ratios.Add(*history, history->first + (stride - before % stride) % stride,
-               stride);
+    meter.Add(*history, history->first + (stride - before % stride) % stride,
+              stride);
     before += history->size();
   }
-  return ratios.LogMean();
+  return {meter.LogMeanRatio(), meter.LogShareOfHeading()};
 }
 
 }  // namespace
 
-double LogChanceRatio(const Query& query, const std::vector<History>& histories,
-                      const RelativeModel& model, AlignmentParts* parts) {
+Chance MeasureChance(const Query& query, const std::vector<History>& histories,
+                     const RelativeModel& model, AlignmentParts* parts) {
   AlignmentParts own;
   AlignmentParts* const kept = parts == nullptr ? &own : parts;
   return model.similarity.state_space == StateSpace::kPlanar
-             ? LogChanceRatioIn<3>(query, histories, model, kept)
-             : LogChanceRatioIn<4>(query, histories, model, kept);
+             ? MeasureChanceIn<3>(query, histories, model, kept)
+             : MeasureChanceIn<4>(query, histories, model, kept);
 }
 
 }  // namespace revisit::core

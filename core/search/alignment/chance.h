@@ -1,4 +1,5 @@
-// How much the shape's likelihood ratio comes to by chance.
+// How much of what speaks for a place comes by chance: of the shape's
+// likelihood ratio, and of the heading.
 //
 // Where the vehicle is not, the ratio of the same road against another one
 // (shape_filter.h) should be 1 on average: that is what makes it a likelihood
@@ -13,8 +14,15 @@
 // first part (kUnseenRatios). Ratios count up to the number of nodes: no more
 // can be told from so many, and a road that the vehicle is on after all,
 // farther off than its errors allow, does little harm.
-#ifndef REVISIT_CORE_SEARCH_ALIGNMENT_CHANCE_RATIO_H_
-#define REVISIT_CORE_SEARCH_ALIGNMENT_CHANCE_RATIO_H_
+//
+// The density of nodes on roads not driven (relative_model.h) is that of roads
+// which head any way alike. Roads of one town head like each other, though: in
+// a grid there are but four ways, and that the query heads as a street says as
+// little for this street as for the next one. With p the density at the query's
+// heading, as far as it is known, of the headings on roads elsewhere, there are
+// 2 pi p times as many new roads that head as the query does.
+#ifndef REVISIT_CORE_SEARCH_ALIGNMENT_CHANCE_H_
+#define REVISIT_CORE_SEARCH_ALIGNMENT_CHANCE_H_
 
 #include <cstddef>
 #include <vector>
@@ -40,13 +48,26 @@ inline constexpr double kUnseenRatios = 2.0;
 // where the vehicle is not.
 inline constexpr double kSquaredElsewhere = 16.0;
 
-// The logarithm of the mean ratio, at least 0; 0 where nothing could be
-// measured. Histories count that are other recordings, and tied to the query's.
-// The model is theirs. `parts`, if not null, are those of an alignment with one
-// of them, and have the recent path afterwards.
-double LogChanceRatio(const Query& query, const std::vector<History>& histories,
-                      const RelativeModel& model, AlignmentParts* parts);
+// Headings are compared with at least this standard deviation, rad: a street
+// is not straight to a degree.
+inline constexpr double kLeastHeadingDeviation = 0.02;
+
+// Logarithms, each at least 0; 0 where nothing could be measured.
+struct Chance {
+  // Of the mean ratio.
+  double log_ratio = 0.0;
+  // Of 2 pi p.
+  double log_heading = 0.0;
+
+  double log_odds() const { return log_ratio + log_heading; }
+};
+
+// Histories count that are other recordings, and tied to the query's. The model
+// is theirs. `parts`, if not null, are those of an alignment with one of them,
+// and have the recent path afterwards.
+Chance MeasureChance(const Query& query, const std::vector<History>& histories,
+                     const RelativeModel& model, AlignmentParts* parts);
 
 }  // namespace revisit::core
 
-#endif  // REVISIT_CORE_SEARCH_ALIGNMENT_CHANCE_RATIO_H_
+#endif  // REVISIT_CORE_SEARCH_ALIGNMENT_CHANCE_H_
