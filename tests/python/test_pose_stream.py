@@ -123,8 +123,9 @@ def test_wrong_poses_end_the_stream_with_their_fields(client, new_vehicle):
         with client.stream_poses(vehicle) as stream:
             stream.append(poses)
     error = caught.value
-    assert [one.field for one in error.field_violations] == [
-        "batch.poses[3].covariance.values", "batch.poses[4].heading_radians"]
+    assert [(one.field, one.sequence) for one in error.field_violations] == [
+        ("batch.columns.covariance_diagonals[9]", 4),
+        ("batch.columns.heading_radians[4]", 5)]
     assert "above 0" in error.field_violations[0].description
     assert error.domain == "revisit" and error.reason
     assert error.request_id == error.metadata["request_id"]

@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike
 
 from revisit import v1
 from revisit._names import Vehicles, vehicle_name, vehicle_names
+from revisit._pose_columns import arrays_of, columns_of, sequence_at
 from revisit._settings import merged, number_of
 from revisit.arrays import Poses, PosesLike, to_covariances
-from revisit.errors import Internal
-from revisit.stream_options import ProgressBar
+from revisit.errors import Internal, InvalidArgument, located
 from revisit.tables import PoseGraph, edge_table, node_table
 
 _T = TypeVar("_T")
@@ -94,13 +94,14 @@ def unary(method: str, request: Any,
 class Pages(Generic[_T]):
     """A list that is read page by page: `request` is for the next one."""
 
-    def __init__(self, method: str, request: Any, field: str,
+    def __init__(self, method: str, request: Any,
+                 field: Union[str, Callable[[Any], Iterable[_T]]],
                  order: Callable[[Any], Any] = lambda item: item.name,
                  most_empty_pages: int = _MOST_EMPTY_PAGES,
                  is_changing: bool = False) -> None:
-        """`field` of an answer has what is on a page, in ascending `order`; or, where
-        the order `is_changing` while the pages are read, in any: then what comes
-        twice is left out the second time."""
+        """`field` of an answer, by its name or as a function of the answer, has what is
+        on a page, in ascending `order`; or, where the order `is_changing` while the
+        pages are read, in any: then what comes twice is left out the second time."""
         self._method = method
         self._request = request
         self._field = field
@@ -119,7 +120,9 @@ class Pages(Generic[_T]):
         when the server sends a page again, or consists of pages that are empty or
         bring nothing new: it might never end."""
         self._has_brought = False
-        for item in getattr(page, self._field):
+        found = (getattr(page, self._field) if isinstance(self._field, str)
+                 else self._field(page))
+        for item in found:
             key = self._order(item)
             if self._seen is not None:
                 if key in self._seen:
@@ -203,28 +206,60 @@ def accept_data_loss(vehicle: str, durable_sequence: int) -> Call[v1.Vehicle]:
 # Poses.
 
 
-def append_poses(vehicle: str, poses: PosesLike, vehicle_uid: str) -> Call[v1.Ack]:
-    def ack(answer: v1.AppendPosesResponse) -> v1.Ack:
-        return answer.ack
+class Appending:
+    """A batch by AppendPoses: arrays as columns, where there are any, or as messages for
+    a server that knows no columns."""
 
-    return unary("AppendPoses", v1.AppendPosesRequest(
-        vehicle=vehicle_name(vehicle), poses=_messages(poses),
-        vehicle_uid=vehicle_uid), ack)
+    def __init__(self, vehicle: str, poses: PosesLike, vehicle_uid: str) -> None:
+        self._poses = poses
+        self._request = v1.AppendPosesRequest(vehicle=vehicle_name(vehicle),
+                                              vehicle_uid=vehicle_uid)
+        columns = (columns_of(poses)
+                   if isinstance(poses, Poses) and len(poses) > 0 else None)
+        if columns is None:
+            self._request.poses.extend(_messages(poses))
+        else:
+            self._request.columns.CopyFrom(columns)
+
+    def call(self) -> Call[v1.Ack]:
+        def ack(answer: v1.AppendPosesResponse) -> v1.Ack:
+            return answer.ack
+
+        return unary("AppendPoses", self._request, ack)
+
+    def after(self, error: InvalidArgument) -> None:
+        """Goes on to messages, if the server has not seen the columns: to one that does
+        not know them, there are no poses. Raises any other error."""
+        saw_none = error.reason == "BATCH_SIZE" and [
+            one.field for one in error.field_violations] == ["poses"]
+        if not saw_none or not self._request.HasField("columns"):
+            raise located(error, lambda field: sequence_at(field, self._request))
+        self._request.ClearField("columns")
+        self._request.poses.extend(_messages(self._poses))
 
 
-def counted(pose: v1.Pose, progress: Optional[ProgressBar]) -> v1.Pose:
-    """The pose, after progress was told of it."""
-    if progress is not None:
-        progress.update(1)
-    return pose
+def _poses_request(vehicle: str, first_sequence: int, as_sent: bool,
+                   as_columns: bool) -> v1.ListPosesRequest:
+    return v1.ListPosesRequest(
+        parent=vehicle_name(vehicle), page_size=_POSES_PAGE,
+        first_sequence=first_sequence, view=_view(as_sent), as_columns=as_columns)
 
 
 def list_poses(vehicle: str, first_sequence: int, as_sent: bool) -> Pages[v1.Pose]:
-    return Pages("ListPoses", v1.ListPosesRequest(
-        parent=vehicle_name(vehicle), page_size=_POSES_PAGE,
-        first_sequence=first_sequence,
-        view=_view(as_sent),
-    ), "poses", order=lambda pose: pose.sequence)
+    return Pages("ListPoses", _poses_request(vehicle, first_sequence, as_sent, False),
+                 "poses", order=lambda pose: pose.sequence)
+
+
+def list_arrays(vehicle: str, first_sequence: int, as_sent: bool) -> Pages[Poses]:
+    """The poses of `list_poses()`, some at a time."""
+    def parts(page: v1.ListPosesResponse) -> Iterable[Poses]:
+        # Servers that do not know columns answer with messages.
+        if page.poses:
+            yield Poses.from_messages(page.poses)
+        yield from map(arrays_of, page.columns)
+
+    return Pages("ListPoses", _poses_request(vehicle, first_sequence, as_sent, True),
+                 parts, order=lambda part: int(part.sequence[0]))
 
 
 def list_recordings(vehicle: str) -> Pages[v1.Recording]:

@@ -7,14 +7,14 @@ import collections
 import functools
 import logging
 import time
-from collections.abc import Iterator
 from typing import Any, Callable, Optional, Union
 
 import numpy as np
 from numpy.typing import NDArray
 
 from revisit import v1
-from revisit._pending import PendingPoses
+from revisit._pending import Held, PendingPoses, held_arrays, held_messages
+from revisit._pose_columns import sequence_at
 from revisit._text import printable
 from revisit._warnings import kind_of, text_of
 from revisit.arrays import Poses, PosesLike
@@ -22,7 +22,7 @@ from revisit.backoff import Backoff
 from revisit.channel import Metadata
 from revisit.errors import (
     Aborted, Cancelled, DataLoss, Error, FailedPrecondition, InvalidArgument,
-    ResourceExhausted, Unauthenticated, Unavailable, VehicleReplaced, is_cut,
+    ResourceExhausted, Unauthenticated, Unavailable, VehicleReplaced, is_cut, located,
     reads_histories, was_elsewhere)
 from revisit.stream_options import StreamCallbacks, StreamOptions
 
@@ -30,12 +30,6 @@ log = logging.getLogger("revisit")
 
 #: Jumps and warnings that are kept, the newest.
 _MOST_KEPT = 10_000
-#: Rows of arrays that become messages at a time.
-_CHUNK_ROWS = 1000
-#: No pose of arrays is larger when serialised.
-_LARGEST_ROW_BYTES = 1024
-
-Sized = list[tuple[v1.Pose, int]]
 
 
 def worth_another_connection(error: BaseException, was_opened: bool) -> bool:
@@ -64,6 +58,7 @@ class Connection:
         self.half_closed = False
         self.in_callback = False
         self.batch_poses = 1
+        self.takes_columns = False
         self.quiet_since = time.monotonic()
         #: The reason for which this side ends it.
         self.verdict: Optional[BaseException] = None
@@ -111,34 +106,30 @@ class StreamState:
 
     # Poses in.
 
-    def chunks(self, poses: PosesLike) -> Iterator[Sized]:
-        """The poses with their sizes, some at a time, after all were checked.
-        InvalidArgument if one does not follow that before it, or is too large; the
-        error of `check_open()`. Arrays have sequences by now."""
+    def held(self, poses: PosesLike) -> list[Held]:
+        """The poses as they are taken, after all were checked. InvalidArgument if one
+        does not follow that before it, or is too large; the error of `check_open()`.
+        Arrays have sequences by now."""
         if isinstance(poses, Poses):
             self._check_order(poses.sequence)
-            if self.options.max_pending_bytes >= _LARGEST_ROW_BYTES:
-                for row in range(0, len(poses), _CHUNK_ROWS):
-                    yield [(pose, pose.ByteSize()) for pose in
-                           poses[row:row + _CHUNK_ROWS].to_messages()]
-                return
-            sized = [(pose, pose.ByteSize()) for pose in poses.to_messages()]
+            parts = list(held_arrays(poses)) if len(poses) > 0 else []
         else:
-            sized = []
+            copies = []
             for pose in poses:
                 # The caller may go on using its own.
                 copy = v1.Pose()
                 copy.CopyFrom(pose)
-                sized.append((copy, copy.ByteSize()))
-            self._check_order(np.array([pose.sequence for pose, _ in sized],
-                                       np.uint64))
+                copies.append(copy)
+            self._check_order(np.array([pose.sequence for pose in copies], np.uint64))
+            parts = list(held_messages(copies)) if copies else []
         limit = self.options.max_pending_bytes
-        for pose, size in sized:
-            if size > limit:
+        for part in parts:
+            for row in np.flatnonzero(part.sizes > limit):
                 raise InvalidArgument(
-                    f"the pose of sequence {pose.sequence} takes {size} bytes, more "
-                    f"than max_pending_bytes allows ({limit})")
-        yield sized
+                    f"the pose of sequence {part.first_sequence + row} takes "
+                    f"{part.sizes[row]} bytes, more than max_pending_bytes allows "
+                    f"({limit})")
+        return parts
 
     def _check_order(self, sequences: NDArray[np.uint64]) -> None:
         if len(sequences) == 0:
@@ -152,10 +143,14 @@ class StreamState:
             raise InvalidArgument(f"sequence {sequences[wrong[0]]} where "
                                   f"{expected[wrong[0]]} comes next")
 
-    def take(self, pose: v1.Pose, size: int) -> None:
+    def take(self, held: Held) -> Held:
+        """Takes as many as there is room for, and returns the others."""
         self.check_open()
-        self.last_taken = pose.sequence
-        self.pending.take(pose, size)
+        taken = self.pending.room_for(held)
+        if taken > 0:
+            self.last_taken = held.first_sequence + taken - 1
+            self.pending.take(held.part(0, taken))
+        return held.part(taken, len(held))
 
     def check_open(self) -> None:
         """Raises why no poses are taken, if none are."""
@@ -225,7 +220,8 @@ class StreamState:
             connection.quiet_since = time.monotonic()
             return None
         return v1.StreamPosesRequest(
-            batch=self.pending.next_batch(connection.batch_poses))
+            batch=self.pending.next_batch(connection.batch_poses,
+                                          connection.takes_columns))
 
     # Answers.
 
@@ -265,6 +261,7 @@ class StreamState:
             connection.progressed = True
         connection.opened = True
         self.acked_sequence = durable
+        connection.takes_columns = opened.takes_pose_columns
         connection.batch_poses = self.options.batch_poses
         if opened.max_batch_poses > 0:
             connection.batch_poses = min(connection.batch_poses,
@@ -314,8 +311,13 @@ class StreamState:
             return Cancelled("the stream was cancelled")
         if connection.verdict is not None:
             return connection.verdict
-        if connection.error is not None:
-            return connection.error
+        error = connection.error
+        if isinstance(error, Error) and error.field_violations:
+            # The server acknowledges all that comes before what it refuses.
+            refused = self.pending.first_sent(connection.takes_columns)
+            return located(error, lambda field: sequence_at(field, refused))
+        if error is not None:
+            return error
         if connection.half_closed and len(self.pending) == 0:
             return None
         return Unavailable("the server ended the stream too early")

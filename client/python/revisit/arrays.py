@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Optional, Union
 
 import numpy as np
@@ -21,16 +21,17 @@ Float = NDArray[np.float64]
 Index = Union[slice, NDArray[Any], list[int]]
 
 #: How many numbers the forms of a covariance have.
-_SIZES = {v1.COVARIANCE_FORM_PLANAR_6: 6, v1.COVARIANCE_FORM_SPATIAL_10: 10,
-          v1.COVARIANCE_FORM_ROS_36: 36}
-_FORMS = {size: form for form, size in _SIZES.items()}
+COVARIANCE_SIZES: dict[int, int] = {
+    v1.COVARIANCE_FORM_PLANAR_6: 6, v1.COVARIANCE_FORM_SPATIAL_10: 10,
+    v1.COVARIANCE_FORM_ROS_36: 36}
+_FORMS = {size: form for form, size in COVARIANCE_SIZES.items()}
 #: Matrices by their order: as they are sent.
 _MATRIX_FORMS = {3: v1.COVARIANCE_FORM_PLANAR_6, 4: v1.COVARIANCE_FORM_SPATIAL_10,
                  6: v1.COVARIANCE_FORM_ROS_36}
 #: The server's bound of asymmetry, relative to a matrix's largest entry.
 _SYMMETRY = 1e-9
 
-_NANOSECONDS = 1_000_000_000
+NANOSECONDS = 1_000_000_000
 _NO_STAMP = np.datetime64("NaT", "ns")
 _EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.timezone.utc)
 
@@ -68,6 +69,11 @@ def _table(values: Optional[ArrayLike], name: str, rows: int,
         expected = " or ".join(f"({rows}, {width})" for width in widths if width)
         raise ValueError(f"{name} has the shape {array.shape}: expected {expected}")
     return array
+
+
+def rows_with(table: Float) -> NDArray[np.bool_]:
+    """Which rows of a table have numbers: absent ones are NaN throughout."""
+    return ~np.asarray(np.isnan(table).all(axis=1), np.bool_)
 
 
 def nanoseconds_of(value: datetime.datetime) -> int:
@@ -128,11 +134,11 @@ def to_stamps(values: Optional[ArrayLike], rows: int) -> NDArray[np.datetime64]:
     seconds = array.astype(np.float64)
     missing = np.isnan(seconds)
     whole = np.floor(np.where(missing, 0.0, seconds))
-    if np.any(np.abs(whole) >= 2**63 / _NANOSECONDS):
+    if np.any(np.abs(whole) >= 2**63 / NANOSECONDS):
         raise ValueError("stamps lie outside of the years 1678 to 2261: they are "
                          "seconds since 1970")
-    part = np.rint((np.where(missing, 0.0, seconds) - whole) * _NANOSECONDS)
-    nanoseconds = whole.astype(np.int64) * _NANOSECONDS + part.astype(np.int64)
+    part = np.rint((np.where(missing, 0.0, seconds) - whole) * NANOSECONDS)
+    nanoseconds = whole.astype(np.int64) * NANOSECONDS + part.astype(np.int64)
     nanoseconds[missing] = _NO_STAMP.astype(np.int64)
     stamps = nanoseconds.astype("datetime64[ns]")
     return stamps
@@ -293,7 +299,7 @@ class Poses:
     def _set(self, row: int, pose: v1.Pose) -> None:
         if pose.HasField("stamp"):
             self.stamp[row] = np.datetime64(
-                pose.stamp.seconds * _NANOSECONDS + pose.stamp.nanos, "ns")
+                pose.stamp.seconds * NANOSECONDS + pose.stamp.nanos, "ns")
         if pose.HasField("geodetic"):
             self.is_geodetic[row] = True
             self.position[row] = (pose.geodetic.latitude_degrees,
@@ -368,9 +374,9 @@ class Poses:
         positions = self.position.tolist()
         geodetic = self.is_geodetic.tolist()
         headings = self.heading.tolist()
-        turned = (~np.all(np.isnan(self.quaternion), axis=1)).tolist()
+        turned = rows_with(self.quaternion).tolist()
         forms = self.covariance_form.tolist()
-        carried = (~np.all(np.isnan(self.error_transition), axis=1)).tolist()
+        carried = rows_with(self.error_transition).tolist()
         starts = self.recording_start.tolist()
         for row, sequence in enumerate(sequences):
             pose = v1.Pose(sequence=sequence)
@@ -385,14 +391,14 @@ class Poses:
                 pose.local.z_meters = third
             if not absent[row]:
                 pose.stamp.seconds, pose.stamp.nanos = divmod(stamps[row],
-                                                              _NANOSECONDS)
+                                                              NANOSECONDS)
             if turned[row]:
                 turn = pose.quaternion
                 turn.x, turn.y, turn.z, turn.w = self.quaternion[row].tolist()
             else:
                 pose.heading_radians = headings[row]
             pose.covariance.form = forms[row]
-            size = _SIZES.get(forms[row], self.covariance.shape[1])
+            size = COVARIANCE_SIZES.get(forms[row], self.covariance.shape[1])
             pose.covariance.values.extend(self.covariance[row, :size].tolist())
             if carried[row]:
                 pose.error_transition.extend(self.error_transition[row].tolist())
@@ -431,6 +437,35 @@ class Poses:
             columns.update(spread(name, getattr(self, name)))
         return pandas.DataFrame(
             columns, index=pandas.Index(self.sequence, name="sequence"))
+
+
+def recording_rows(poses: Poses) -> list[int]:
+    """The rows that begin a recording."""
+    return [row for row, start in enumerate(poses.recording_start.tolist())
+            if start is not None]
+
+
+def joined(parts: Sequence[Poses]) -> Poses:
+    """The poses of all parts, one after the other."""
+    if len(parts) == 1:
+        return parts[0]
+    if not parts:
+        return Poses.from_messages([])
+    columns = {}
+    for field in dataclasses.fields(Poses):
+        arrays = [getattr(part, field.name) for part in parts]
+        if field.name in ("covariance", "error_transition"):
+            width = max(array.shape[1] for array in arrays)
+            arrays = [_widened(array, width) for array in arrays]
+        columns[field.name] = np.concatenate(arrays)
+    return Poses(**columns)
+
+
+def _widened(table: Float, width: int) -> Float:
+    """The table with columns of NaN up to this width."""
+    missing = width - table.shape[1]
+    return table if missing == 0 else np.pad(
+        table, ((0, 0), (0, missing)), constant_values=np.nan)
 
 
 PosesLike = Union[Poses, Iterable[v1.Pose]]

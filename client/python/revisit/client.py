@@ -19,11 +19,11 @@ from revisit._names import Vehicles, search_scope, vehicle_name
 from revisit._retries import CallOptions
 from revisit._stream_state import StreamState, log_warnings
 from revisit._watch_state import WatchState
-from revisit.arrays import Poses, PosesLike
+from revisit.arrays import Poses, PosesLike, joined
 from revisit.backoff import BackoffOptions
 from revisit.channel import Caller, ChannelOptions, Channels, PathLike, stub_of
 from revisit.cursor_file import CursorFile
-from revisit.errors import from_rpc_error
+from revisit.errors import InvalidArgument, from_rpc_error
 from revisit.pose_stream import PoseStream
 from revisit.stream_options import ProgressBar, StreamCallbacks, StreamOptions
 from revisit.tables import PoseGraph
@@ -194,9 +194,15 @@ class Client:
         """Appends one batch with sequences, of at most as many poses as
         `server_info().max_batch_poses`. Returns when it is durable; the warnings of
         the acknowledgement are logged too."""
-        ack = self._run(_calls.append_poses(vehicle, poses, vehicle_uid))
-        log_warnings(vehicle_name(vehicle), ack, set())
-        return ack
+        appending = _calls.Appending(vehicle, poses, vehicle_uid)
+        while True:
+            try:
+                ack = self._run(appending.call())
+            except InvalidArgument as error:
+                appending.after(error)
+            else:
+                log_warnings(vehicle_name(vehicle), ack, set())
+                return ack
 
     def list_poses(self, vehicle: str, first_sequence: int = 1, *,
                    as_sent: bool = False) -> Iterator[v1.Pose]:
@@ -209,9 +215,12 @@ class Client:
               progress: Optional[ProgressBar] = None) -> Poses:
         """Stored poses as arrays, as they were last revised or as they were sent.
         `progress` is told of each that was read."""
-        return Poses.from_messages(
-            _calls.counted(pose, progress)
-            for pose in self.list_poses(vehicle, first_sequence, as_sent=as_sent))
+        parts = []
+        for part in self._pages(_calls.list_arrays(vehicle, first_sequence, as_sent)):
+            parts.append(part)
+            if progress is not None:
+                progress.update(len(part))
+        return joined(parts)
 
     def list_recordings(self, vehicle: str) -> Iterator[v1.Recording]:
         """A vehicle's recordings, the oldest first, with where the frame of each lies

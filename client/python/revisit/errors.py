@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, Optional
+from typing import Any, Callable, Optional
 
 import grpc
 from google.protobuf.message import DecodeError
@@ -33,6 +33,10 @@ class FieldViolation:
     field: str
     #: The value that was got, and the allowed ones.
     description: str
+    #: Pose.sequence of the pose that has the field, in a batch of poses; of what all
+    #: poses of a batch have in common, that of the first. None of other fields. A
+    #: stream makes batches of its own, so their places say little to its caller.
+    sequence: Optional[int] = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,7 +98,10 @@ class Error(Exception):
             text += f" ({printable(self.reason)})"
         text += f": {printable(self.message)}"
         for violation in self.field_violations:
-            line = printable(f"{violation.field}: {violation.description}")
+            line = f"{violation.field}: {violation.description}"
+            if violation.sequence is not None:
+                line += f" (pose of sequence {violation.sequence})"
+            line = printable(line)
             # The server's messages contain the first violation themselves.
             if line not in text:
                 text += f"\n  {line}"
@@ -243,6 +250,14 @@ def from_rpc_error(error: Any, request_id: str = "") -> Error:
     code = error.code()
     made = error_class(code, found.get("reason", ""))
     return made(error.details() or "", code=code, **found)
+
+
+def located(error: Error, sequence_of: Callable[[str], Optional[int]]) -> Error:
+    """The error, whose field violations have the sequences of their poses."""
+    error.field_violations = tuple(
+        dataclasses.replace(one, sequence=sequence_of(one.field))
+        for one in error.field_violations)
+    return error
 
 
 def is_cut(error: Error) -> bool:

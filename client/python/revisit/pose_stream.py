@@ -36,7 +36,8 @@ from typing import Callable, Optional
 
 from revisit import v1
 from revisit._engine import Engine
-from revisit._stream_state import Sized, StreamState
+from revisit._pending import Held
+from revisit._stream_state import StreamState
 from revisit.arrays import Poses, PosesLike
 from revisit.channel import Caller, Channels
 from revisit.errors import Cancelled
@@ -84,26 +85,23 @@ class PoseStream:
         is larger than max_pending_bytes; FailedPrecondition after `finish()`, or
         if there is no more room for candidates and nobody but the calling thread
         takes any; the error of the stream if it has ended."""
-        state = self._state
-        for chunk in self._checked(poses):
+        for held in self._checked(poses):
             with self._changed:
-                for pose, size in chunk:
-                    if not state.pending.has_room(1, size):
-                        self._wait_for_room(size)
-                    state.take(pose, size)
+                while rest := self._state.take(held):
+                    self._wait_for_room(rest)
+                    held = rest
                 self._changed.notify_all()
 
     def try_append(self, poses: PosesLike) -> bool:
         """Does what `append()` does, but never waits for room: takes all poses, or
         none and returns False."""
-        sized = [one for chunk in self._checked(poses) for one in chunk]
+        parts = self._checked(poses)
         with self._changed:
             self._state.check_open()
-            if not self._state.pending.has_room(len(sized),
-                                                sum(size for _, size in sized)):
+            if not self._state.pending.has_room(parts):
                 return False
-            for pose, size in sized:
-                self._state.take(pose, size)
+            for held in parts:
+                self._state.take(held)
             self._changed.notify_all()
             return True
 
@@ -142,11 +140,11 @@ class PoseStream:
         finally:
             self.close()
 
-    def _checked(self, poses: PosesLike) -> Iterator[Sized]:
+    def _checked(self, poses: PosesLike) -> list[Held]:
         if isinstance(poses, Poses) and len(poses) > 0 and not poses.sequence.any():
             poses = poses.numbered(self._next_sequence())
         # Only the thread that appends changes what the checks read.
-        return self._state.chunks(poses)
+        return self._state.held(poses)
 
     def _next_sequence(self) -> int:
         with self._changed:
@@ -154,10 +152,11 @@ class PoseStream:
                 return self._state.last_taken + 1
         return self.wait_until_opened() + 1
 
-    def _wait_for_room(self, size: int) -> None:
+    def _wait_for_room(self, held: Held) -> None:
+        """Waits until one of the poses may be taken."""
         state = self._state
         self._changed.notify_all()
-        self._wait_while(lambda: not (state.pending.has_room(1, size) or state.ended
+        self._wait_while(lambda: not (state.pending.room_for(held) or state.ended
                                       or state.finishing))
 
     def _wait_while(self, condition: Callable[[], bool]) -> None:
@@ -274,6 +273,6 @@ class PoseStream:
 
     @property
     def pending_bytes(self) -> int:
-        """Serialised bytes of the poses that are held now."""
+        """Bytes that the poses that are held now take."""
         with self._changed:
             return self._state.pending.bytes

@@ -45,8 +45,8 @@ class StreamOptions:
     batch_poses: int = 64
     #: Unacknowledged poses that are held. At least 1.
     max_pending_poses: int = 65_536
-    #: Serialised bytes of the poses that are held. A single pose that needs more
-    #: is refused.
+    #: Bytes that the held poses may take: of arrays those of a row, of messages the
+    #: serialised ones. A single pose that needs more is refused.
     max_pending_bytes: int = 32 << 20
     #: Answers of checks that wait to be taken, if there is no callback for them.
     #: While there is no room, nothing more is read from the server.

@@ -22,11 +22,11 @@ from revisit._watch_state import WatchState
 from revisit.aio._channels import AioChannels
 from revisit.aio.pose_stream import PoseStream, document
 from revisit.aio.watch import CheckList, Watch, WatchEvent
-from revisit.arrays import Poses, PosesLike
+from revisit.arrays import Poses, PosesLike, joined
 from revisit.backoff import BackoffOptions
 from revisit.channel import Caller, ChannelOptions, PathLike, stub_of
 from revisit.cursor_file import CursorFile
-from revisit.errors import Cancelled, from_rpc_error
+from revisit.errors import Cancelled, InvalidArgument, from_rpc_error
 from revisit.stream_options import ProgressBar, StreamCallbacks, StreamOptions
 from revisit.tables import PoseGraph
 
@@ -165,9 +165,15 @@ class Client:
 
     async def append_poses(self, vehicle: str, poses: PosesLike, *,
                            vehicle_uid: str = "") -> v1.Ack:
-        ack = await self._run(_calls.append_poses(vehicle, poses, vehicle_uid))
-        log_warnings(vehicle_name(vehicle), ack, set())
-        return ack
+        appending = _calls.Appending(vehicle, poses, vehicle_uid)
+        while True:
+            try:
+                ack = await self._run(appending.call())
+            except InvalidArgument as error:
+                appending.after(error)
+            else:
+                log_warnings(vehicle_name(vehicle), ack, set())
+                return ack
 
     def list_poses(self, vehicle: str, first_sequence: int = 1, *,
                    as_sent: bool = False) -> AsyncIterator[v1.Pose]:
@@ -176,10 +182,13 @@ class Client:
     async def poses(self, vehicle: str, first_sequence: int = 1, *,
                     as_sent: bool = False,
                     progress: Optional[ProgressBar] = None) -> Poses:
-        return Poses.from_messages(
-            [_calls.counted(pose, progress)
-             async for pose in self.list_poses(vehicle, first_sequence,
-                                               as_sent=as_sent)])
+        parts = []
+        async for part in self._pages(
+                _calls.list_arrays(vehicle, first_sequence, as_sent)):
+            parts.append(part)
+            if progress is not None:
+                progress.update(len(part))
+        return joined(parts)
 
     def list_recordings(self, vehicle: str) -> AsyncIterator[v1.Recording]:
         return self._pages(_calls.list_recordings(vehicle))

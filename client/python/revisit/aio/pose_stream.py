@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterable, AsyncIterator, Iterable, Iterator
+from collections.abc import AsyncIterable, AsyncIterator, Iterable
 from types import TracebackType
 from typing import Any, Callable, Optional, Union
 
 from revisit import pose_stream, v1
-from revisit._stream_state import Sized, StreamState
+from revisit._pending import Held
+from revisit._stream_state import StreamState
 from revisit.aio._channels import AioChannels
 from revisit.aio._engine import Engine
 from revisit.arrays import Poses, PosesLike
@@ -53,24 +54,21 @@ class PoseStream:
         raise state.why_ended()
 
     async def append(self, poses: PosesLike) -> None:
-        state = self._state
-        for chunk in await self._checked(poses):
-            for pose, size in chunk:
-                if not state.pending.has_room(1, size):
-                    await self._wait_for_room(size)
-                state.take(pose, size)
+        for held in await self._checked(poses):
+            while rest := self._state.take(held):
+                await self._wait_for_room(rest)
+                held = rest
             self._changed.notify()
-            # To make messages of arrays takes time, in which nothing else runs.
+            # So that what is taken is sent meanwhile, also by a loop that never waits.
             await asyncio.sleep(0)
 
     async def try_append(self, poses: PosesLike) -> bool:
-        sized = [one for chunk in await self._checked(poses) for one in chunk]
+        parts = await self._checked(poses)
         self._state.check_open()
-        if not self._state.pending.has_room(len(sized),
-                                            sum(size for _, size in sized)):
+        if not self._state.pending.has_room(parts):
             return False
-        for pose, size in sized:
-            self._state.take(pose, size)
+        for held in parts:
+            self._state.take(held)
         self._changed.notify()
         return True
 
@@ -101,16 +99,16 @@ class PoseStream:
         finally:
             await self.close()
 
-    async def _checked(self, poses: PosesLike) -> Iterator[Sized]:
+    async def _checked(self, poses: PosesLike) -> list[Held]:
         if isinstance(poses, Poses) and len(poses) > 0 and not poses.sequence.any():
             poses = poses.numbered((self._state.last_taken
                                     or await self.wait_until_opened()) + 1)
-        return self._state.chunks(poses)
+        return self._state.held(poses)
 
-    async def _wait_for_room(self, size: int) -> None:
+    async def _wait_for_room(self, held: Held) -> None:
         state = self._state
         self._changed.notify()
-        await self._wait_while(lambda: not (state.pending.has_room(1, size)
+        await self._wait_while(lambda: not (state.pending.room_for(held)
                                             or state.ended or state.finishing))
 
     async def _wait_while(self, condition: Callable[[], bool]) -> None:
