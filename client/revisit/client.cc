@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "client/revisit/owner_route.h"
+#include "client/revisit/pose_columns.h"
 #include "client/revisit/status.h"
 #include "client/revisit/status_from_grpc.h"
 #include "grpcpp/client_context.h"
@@ -186,7 +187,20 @@ absl::StatusOr<v1::ListDeletedPosePairsResponse> Client::ListDeletedPosePairs(
 
 absl::StatusOr<v1::ListPosesResponse> Client::ListPoses(
     const v1::ListPosesRequest& request) const {
-  return rep_->Unary(Retry::kSafe, &Stub::ListPoses, request);
+  if (request.as_columns() || request.has_read_mask()) {
+    return rep_->Unary(Retry::kSafe, &Stub::ListPoses, request);
+  }
+  v1::ListPosesRequest asked = request;
+  asked.set_as_columns(true);
+  absl::StatusOr<v1::ListPosesResponse> page =
+      rep_->Unary(Retry::kSafe, &Stub::ListPoses, asked);
+  if (!page.ok()) return page;
+  for (const v1::PoseColumns& columns : page->columns()) {
+    const absl::Status status = AddPosesOf(columns, page->mutable_poses());
+    if (!status.ok()) return status;
+  }
+  page->clear_columns();
+  return page;
 }
 
 absl::StatusOr<v1::ListRecordingsResponse> Client::ListRecordings(

@@ -111,7 +111,8 @@ class Client {
   // Retried.
   absl::StatusOr<v1::ListDeletedPosePairsResponse> ListDeletedPosePairs(
       const v1::ListDeletedPosePairsRequest& request) const;
-  // Retried.
+  // Retried. The answer has `poses`, which come as columns from servers that
+  // know them, unless the request itself asks for columns, or has a read mask.
   absl::StatusOr<v1::ListPosesResponse> ListPoses(
       const v1::ListPosesRequest& request) const;
   // Retried.

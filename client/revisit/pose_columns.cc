@@ -3,7 +3,10 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
+#include <string>
 #include <utility>
+
+#include "absl/strings/str_cat.h"
 
 namespace revisit::client {
 namespace {
@@ -30,6 +33,16 @@ int ValuesOf(v1::CovarianceForm form) {
   const int size = SizeOf(form);
   return form == v1::COVARIANCE_FORM_ROS_36 ? size * size
                                             : size * (size + 1) / 2;
+}
+
+// Whether the nanoseconds of a stamp since 1970 have 64 bits.
+bool IsInRange(const google::protobuf::Timestamp& stamp) {
+  return stamp.seconds() >= -kMostSeconds && stamp.seconds() <= kMostSeconds &&
+         stamp.nanos() >= 0 && stamp.nanos() < kNanosPerSecond;
+}
+
+std::int64_t NanosecondsOf(const google::protobuf::Timestamp& stamp) {
+  return stamp.seconds() * kNanosPerSecond + stamp.nanos();
 }
 
 bool IsZero(double value) {
@@ -73,13 +86,8 @@ class Columns {
   bool AddStamp(const v1::Pose& pose) {
     if (pose.has_stamp() != first_.has_stamp()) return false;
     if (!pose.has_stamp()) return true;
-    const std::int64_t seconds = pose.stamp().seconds();
-    const std::int32_t nanos = pose.stamp().nanos();
-    if (seconds < -kMostSeconds || seconds > kMostSeconds || nanos < 0 ||
-        nanos >= kNanosPerSecond) {
-      return false;
-    }
-    const std::int64_t stamp_ns = seconds * kNanosPerSecond + nanos;
+    if (!IsInRange(pose.stamp())) return false;
+    const std::int64_t stamp_ns = NanosecondsOf(pose.stamp());
     if (&pose != &first_) {
       std::int64_t step = 0;
       if (__builtin_sub_overflow(stamp_ns, stamp_ns_, &step)) return false;
@@ -185,7 +193,187 @@ class Columns {
   int transition_ = 0;
 };
 
+// The way back.
+class ColumnsReader {
+ public:
+  explicit ColumnsReader(const v1::PoseColumns& columns)
+      : columns_(columns),
+        count_(columns.pose_count()),
+        is_geodetic_(!columns.latitude_degrees().empty()),
+        size_(SizeOf(columns.covariance_form())),
+        values_(ValuesOf(columns.covariance_form())) {}
+
+  // What does not fit; empty if all does.
+  std::string Defect() {
+    // The positions bound what a wrong count can take.
+    if (count_ < 1 || !HasPositions()) return "positions";
+    if (!HasOrientations()) return "orientations";
+    if (!HasCovariances()) return "covariances";
+    if (!FindTransitions()) return "error_transitions";
+    return FindStamps() ? "" : "stamps";
+  }
+
+  // REQUIRES: there is no defect; the index is below the number of poses.
+  void Write(int i, v1::Pose* pose) const {
+    pose->set_sequence(columns_.first_sequence() +
+                       static_cast<std::uint64_t>(i));
+    WriteStamp(i, pose);
+    WritePosition(i, pose);
+    if (columns_.quaternions().empty()) {
+      pose->set_heading_radians(columns_.heading_radians(i));
+    } else {
+      v1::Quaternion* const turn = pose->mutable_quaternion();
+      turn->set_x(columns_.quaternions(4 * i));
+      turn->set_y(columns_.quaternions(4 * i + 1));
+      turn->set_z(columns_.quaternions(4 * i + 2));
+      turn->set_w(columns_.quaternions(4 * i + 3));
+    }
+    WriteCovariance(i, pose->mutable_covariance());
+    if (transition_ > 0 && i >= without_transition_) {
+      const double* const first = columns_.error_transitions().data() +
+                                  (i - without_transition_) * transition_;
+      pose->mutable_error_transition()->Add(first, first + transition_);
+    }
+    if (i == 0 && columns_.has_recording_start()) {
+      *pose->mutable_recording_start() = columns_.recording_start();
+    }
+  }
+
+ private:
+  using Doubles = google::protobuf::RepeatedField<double>;
+
+  bool Fit(const Doubles& first, const Doubles& second,
+           const Doubles& heights) const {
+    return first.size() == count_ && second.size() == count_ &&
+           (heights.empty() || heights.size() == count_);
+  }
+
+  bool HasPositions() const {
+    return is_geodetic_
+               ? Fit(columns_.latitude_degrees(), columns_.longitude_degrees(),
+                     columns_.height_meters())
+               : Fit(columns_.x_meters(), columns_.y_meters(),
+                     columns_.z_meters());
+  }
+
+  bool HasOrientations() const {
+    const int headings = columns_.heading_radians_size();
+    const int parts = columns_.quaternions_size();
+    return (headings == count_ && parts == 0) ||
+           (headings == 0 && parts == 4 * count_);
+  }
+
+  bool HasCovariances() const {
+    const auto fits = [this](const Doubles& given, int of_each) {
+      return given.size() == of_each || given.size() == of_each * count_;
+    };
+    return values_ > 0 && (columns_.covariances().empty()
+                               ? fits(columns_.covariance_diagonals(), size_)
+                               : fits(columns_.covariances(), values_));
+  }
+
+  bool FindTransitions() {
+    const int given = columns_.error_transitions_size();
+    for (const int numbers : {9, 16}) {
+      for (const int without : {0, 1}) {
+        if (given != numbers * (count_ - without)) continue;
+        transition_ = given == 0 ? 0 : numbers;
+        without_transition_ = without;
+        return true;
+      }
+    }
+    return given == 0;
+  }
+
+  bool FindStamps() {
+    const int steps = columns_.stamp_step_nanos_size();
+    if (!columns_.has_first_stamp()) return steps == 0;
+    if (steps != count_ - 1 || !IsInRange(columns_.first_stamp())) return false;
+    stamps_ns_.push_back(NanosecondsOf(columns_.first_stamp()));
+    for (const std::int64_t step : columns_.stamp_step_nanos()) {
+      std::int64_t next = 0;
+      if (__builtin_add_overflow(stamps_ns_.back(), step, &next)) return false;
+      stamps_ns_.push_back(next);
+    }
+    return true;
+  }
+
+  void WriteStamp(int i, v1::Pose* pose) const {
+    if (stamps_ns_.empty()) return;
+    const std::int64_t stamp_ns = stamps_ns_[static_cast<std::size_t>(i)];
+    std::int64_t nanos = stamp_ns % kNanosPerSecond;
+    std::int64_t seconds = stamp_ns / kNanosPerSecond;
+    if (nanos < 0) nanos += kNanosPerSecond, --seconds;
+    pose->mutable_stamp()->set_seconds(seconds);
+    pose->mutable_stamp()->set_nanos(static_cast<std::int32_t>(nanos));
+  }
+
+  void WritePosition(int i, v1::Pose* pose) const {
+    const auto height = [i](const Doubles& heights) {
+      return heights.empty() ? 0.0 : heights[i];
+    };
+    if (is_geodetic_) {
+      v1::GeodeticPosition* const geodetic = pose->mutable_geodetic();
+      geodetic->set_latitude_degrees(columns_.latitude_degrees(i));
+      geodetic->set_longitude_degrees(columns_.longitude_degrees(i));
+      geodetic->set_height_meters(height(columns_.height_meters()));
+    } else {
+      v1::LocalPosition* const local = pose->mutable_local();
+      local->set_x_meters(columns_.x_meters(i));
+      local->set_y_meters(columns_.y_meters(i));
+      local->set_z_meters(height(columns_.z_meters()));
+    }
+  }
+
+  // Where the numbers of a pose begin in a column that may have those of one.
+  static const double* At(const Doubles& column, int of_each, int i) {
+    return column.data() + (column.size() == of_each ? 0 : i * of_each);
+  }
+
+  void WriteCovariance(int i, v1::Covariance* covariance) const {
+    covariance->set_form(columns_.covariance_form());
+    Doubles* const values = covariance->mutable_values();
+    if (!columns_.covariances().empty()) {
+      const double* const first = At(columns_.covariances(), values_, i);
+      values->Add(first, first + values_);
+      return;
+    }
+    const double* const variances =
+        At(columns_.covariance_diagonals(), size_, i);
+    values->Resize(values_, 0.0);
+    const bool is_full =
+        columns_.covariance_form() == v1::COVARIANCE_FORM_ROS_36;
+    for (int r = 0, place = 0; r < size_; ++r) {
+      values->Set(place, variances[r]);
+      place += is_full ? size_ + 1 : size_ - r;
+    }
+  }
+
+  const v1::PoseColumns& columns_;
+  const int count_;
+  const bool is_geodetic_;
+  const int size_;
+  const int values_;
+  int transition_ = 0;
+  // How many poses at the beginning have no transition.
+  int without_transition_ = 0;
+  std::vector<std::int64_t> stamps_ns_;
+};
+
 }  // namespace
+
+absl::Status AddPosesOf(const v1::PoseColumns& columns,
+                        google::protobuf::RepeatedPtrField<v1::Pose>* poses) {
+  ColumnsReader reader(columns);
+  if (const std::string defect = reader.Defect(); !defect.empty()) {
+    return absl::InternalError(
+        absl::StrCat("the server's columns do not fit: the ", defect, " of ",
+                     columns.pose_count(), " poses from sequence ",
+                     columns.first_sequence()));
+  }
+  for (int i = 0; i < columns.pose_count(); ++i) reader.Write(i, poses->Add());
+  return absl::OkStatus();
+}
 
 std::optional<v1::PoseColumns> PoseColumnsOf(
     const std::vector<const v1::Pose*>& poses) {

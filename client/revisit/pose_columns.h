@@ -5,6 +5,8 @@
 #include <optional>
 #include <vector>
 
+#include "absl/status/status.h"
+#include "google/protobuf/repeated_field.h"
 #include "revisit/v1/geometry.pb.h"
 #include "revisit/v1/pose_columns.pb.h"
 
@@ -16,6 +18,11 @@ namespace revisit::client {
 // anyway. REQUIRES: at least one pose; their sequences follow each other.
 std::optional<v1::PoseColumns> PoseColumnsOf(
     const std::vector<const v1::Pose*>& poses);
+
+// Adds the poses that these columns say. INTERNAL, with none added, if columns
+// that a server answered without a read mask do not fit each other.
+absl::Status AddPosesOf(const v1::PoseColumns& columns,
+                        google::protobuf::RepeatedPtrField<v1::Pose>* poses);
 
 }  // namespace revisit::client
 

@@ -10,6 +10,7 @@
 #include "core/drive/dropped_stretch.h"
 #include "google/protobuf/util/field_mask_util.h"
 #include "server/conversion/page_token.h"
+#include "server/conversion/pose_columns_answer.h"
 #include "server/conversion/poses.h"
 #include "server/fields/field_violations.h"
 #include "server/fields/pose_fields.h"
@@ -78,13 +79,47 @@ std::string ListOf(const v1::ListPosesRequest& request, BatchVersion version) {
       request.parent());
 }
 
+// Fills a page in the form that the request asks for. Both forms have the same
+// pages.
+class PageWriter {
+ public:
+  PageWriter(const v1::ListPosesRequest& request, int most_columns_poses,
+             v1::ListPosesResponse* response)
+      : mask_(request.read_mask()),
+        as_columns_(request.as_columns()),
+        columns_(mask_, most_columns_poses, response->mutable_columns()),
+        response_(response) {}
+
+  void Add(const PoseFields& stored) {
+    v1::Pose* const pose = as_columns_ ? &pose_ : response_->add_poses();
+    SetPose(stored, pose);
+    if (mask_.paths_size() > 0) FieldMaskUtil::TrimMessage(mask_, pose);
+    bytes_ += pose->ByteSizeLong();
+    if (as_columns_) columns_.Add(*pose, stored.sequence);
+  }
+
+  bool is_full() const { return bytes_ > kMaxPageBytes; }
+
+  // Call this after the last pose.
+  void Finish() { columns_.Finish(); }
+
+ private:
+  const google::protobuf::FieldMask& mask_;
+  const bool as_columns_;
+  // The pose of the moment, of a page of columns.
+  v1::Pose pose_;
+  PoseColumnsAnswer columns_;
+  v1::ListPosesResponse* const response_;
+  // Of all poses as messages.
+  std::size_t bytes_ = 0;
+};
+
 // Fills a page with the poses from `first` on. Where they are damaged, a page
 // ends before the damage, and the next one begins with it: DATA_LOSS.
 absl::Status ReadPoses(Storage* storage, const VehicleView& view,
                        const Beginning& beginning, int page_size,
-                       const google::protobuf::FieldMask& mask,
                        BatchVersion version, const std::string& list,
-                       v1::ListPosesResponse* response) {
+                       PageWriter* page, v1::ListPosesResponse* response) {
   if (beginning.sequence > view.durable_sequence) return view.damage;
   if (beginning.is_named) {
     const absl::Status kept = CheckKept(view, beginning.sequence);
@@ -97,22 +132,19 @@ absl::Status ReadPoses(Storage* storage, const VehicleView& view,
       view.durable_sequence,
       LastOfPage(dropped, first, static_cast<std::uint64_t>(page_size)));
   std::uint64_t last_taken = 0;
-  std::size_t bytes = 0;
   absl::Status parsed;
   const absl::Status read = storage->ReadBatches(
       view.key, first, last, version, [&](const BatchRecord& batch) {
         parsed = VisitPoses(batch, [&](const PoseFields& stored) {
           if (stored.sequence < first) return true;
-          if (stored.sequence > last || bytes > kMaxPageBytes) return false;
+          if (stored.sequence > last || page->is_full()) return false;
           last_taken = stored.sequence;
-          v1::Pose* const pose = response->add_poses();
-          SetPose(stored, pose);
-          if (mask.paths_size() > 0) FieldMaskUtil::TrimMessage(mask, pose);
-          bytes += pose->ByteSizeLong();
+          page->Add(stored);
           return true;
         });
-        return parsed.ok() && bytes <= kMaxPageBytes;
+        return parsed.ok() && !page->is_full();
       });
+  page->Finish();
   const absl::Status& failure = read.ok() ? parsed : read;
   if (!failure.ok() && !(absl::IsDataLoss(failure) && last_taken > 0)) {
     return failure;
@@ -144,11 +176,12 @@ absl::Status ListPoses(const ServiceContext& service, const UnaryCallPtr& call,
   }
   const std::weak_ptr<VehicleSession> loaded = *session;
   (*session)->ReadStored(FinishWith<VehicleView>(
-      call, [=, storage = service.storage,
-             request = &request](const VehicleView& view) {
-        const absl::Status status =
-            ReadPoses(storage, view, *first, *page_size, request->read_mask(),
-                      *version, list, response);
+      call,
+      [=, storage = service.storage, request = &request,
+       most_poses = service.limits.max_batch_poses](const VehicleView& view) {
+        PageWriter page(*request, most_poses, response);
+        const absl::Status status = ReadPoses(storage, view, *first, *page_size,
+                                              *version, list, &page, response);
         const auto still_there = loaded.lock();
         if (absl::IsDataLoss(status) && still_there != nullptr) {
           still_there->LoadAnew();

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "client/revisit/pose_columns.h"
 #include "google/protobuf/util/field_mask_util.h"
 #include "google/rpc/error_details.pb.h"
 #include "google/rpc/status.pb.h"
@@ -186,6 +187,11 @@ void FakeServer::TakeColumns(bool take) {
 int FakeServer::column_batches() const {
   std::lock_guard<std::mutex> lock(mutex_);
   return column_batches_;
+}
+
+int FakeServer::column_pages() const {
+  std::lock_guard<std::mutex> lock(mutex_);
+  return column_pages_;
 }
 
 int FakeServer::largest_batch() const {
@@ -661,6 +667,24 @@ grpc::Status FakeServer::ListDeletedPosePairs(
   return NextUnaryStatus();
 }
 
+void FakeServer::AnswerColumns(v1::ListPosesResponse* page) {
+  std::lock_guard<std::mutex> lock(mutex_);
+  if (!takes_columns_ || page->poses().empty()) return;
+  std::vector<const v1::Pose*> poses;
+  for (const v1::Pose& pose : page->poses()) poses.push_back(&pose);
+  if (const auto whole = PoseColumnsOf(poses)) {
+    *page->add_columns() = *whole;
+  } else {
+    for (const v1::Pose* const pose : poses) {
+      const auto alone = PoseColumnsOf({pose});
+      if (!alone) return page->clear_columns();
+      *page->add_columns() = *alone;
+    }
+  }
+  page->clear_poses();
+  ++column_pages_;
+}
+
 grpc::Status FakeServer::ListPoses(grpc::ServerContext*,
                                    const v1::ListPosesRequest* request,
                                    v1::ListPosesResponse* response) {
@@ -679,6 +703,7 @@ grpc::Status FakeServer::ListPoses(grpc::ServerContext*,
     }
   }
   EndPage(request->page_token(), response->mutable_poses(), response);
+  if (request->as_columns()) AnswerColumns(response);
   return NextUnaryStatus();
 }
 

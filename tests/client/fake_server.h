@@ -162,10 +162,11 @@ class FakeServer final : public v1::PoseGraphService::Service {
   // Names that deletions asked for, in order.
   std::vector<std::string> Deleted() const;
   int largest_batch() const;
-  // Whether streams are told that columns are taken, as they are at first, and
-  // how many batches came as columns.
+  // Whether it knows columns, as it does at first; how many batches came as
+  // columns, and how many pages of poses it answered so.
   void TakeColumns(bool take);
   int column_batches() const;
+  int column_pages() const;
 
   grpc::Status CreateVehicle(grpc::ServerContext*,
                              const v1::CreateVehicleRequest*,
@@ -289,6 +290,8 @@ class FakeServer final : public v1::PoseGraphService::Service {
   // Ends a page of a list that was asked for with this token.
   template <typename Page, typename Items>
   void EndPage(const std::string& token, Items* items, Page* page);
+  // Makes columns of the poses of a page, unless one has none.
+  void AnswerColumns(v1::ListPosesResponse* page);
   // Says what Say() wants in a vehicle.
   void Describe(v1::Vehicle* vehicle) const;
   void Describe(v1::Check* check) const;
@@ -349,6 +352,7 @@ class FakeServer final : public v1::PoseGraphService::Service {
   int largest_batch_ = 0;
   bool takes_columns_ = true;
   int column_batches_ = 0;
+  int column_pages_ = 0;
   std::map<std::string, Group> groups_;
   std::vector<v1::FindCandidatesRequest> searches_;
   v1::UpdateGroupRequest last_group_update_;

@@ -90,9 +90,19 @@ def test_create_answers_with_every_setting(results):
 
 
 def test_append_answers_what_is_durable(results):
-    appended = results_of(results, "/AppendPoses")[0]
+    appended, as_columns = results_of(results, "/AppendPoses")[:2]
     assert appended.returncode == 0, appended.stderr
     assert json.loads(appended.stdout)["ack"]["durable_sequence"] == "2"
+    assert as_columns.stdout == appended.stdout
+
+
+def test_poses_are_read_back_as_the_columns_that_were_sent(results):
+    [listed] = results_of(results, "/ListPoses")
+    assert listed.returncode == 0, listed.stderr
+    sent = next(command for command, _ in results if '"columns"' in command)
+    columns = json.loads(sent.split("'")[1])["columns"]
+    [answer] = json.loads(listed.stdout)["columns"]
+    assert answer == {**columns, "first_sequence": "1"}
 
 
 def test_find_says_why_there_is_no_candidate(results):
@@ -114,9 +124,9 @@ def test_error_comes_with_details_that_resolve(results):
 
 
 def test_every_line_to_try_was_looked_at(results):
-    assert len(results) == 7
+    assert len(results) == 9
     assert [result.returncode for _, result in results] == [
-        0, 0, 0, 0, 0, 0, STATUS_EXIT + INVALID_ARGUMENT]
+        0, 0, 0, 0, 0, 0, 0, 0, STATUS_EXIT + INVALID_ARGUMENT]
 
 
 def test_lines_print_what_the_document_shows(results):

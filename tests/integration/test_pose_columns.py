@@ -3,13 +3,14 @@ refused by the place of what is wrong."""
 
 import grpc
 import pytest
-from google.protobuf import timestamp_pb2
+from google.protobuf import field_mask_pb2, timestamp_pb2
 
 from caller_poses import GEODETIC, NAN, geodetic
+from drive_client import Drive
 from stubs import api
 from watching import without_times
-from wire import (PoseStream, as_bytes, batches, boreas, columns_of, failure_of, get,
-                  list_poses, straight)
+from wire import (PoseStream, append, as_bytes, batches, boreas, columns_of, expanded,
+                  failure_of, get, list_poses, straight)
 
 
 def with_stamps(poses):
@@ -114,3 +115,95 @@ def test_a_batch_has_one_of_the_two_forms(stub, new_vehicle):
 
 def test_the_server_tells_that_it_takes_columns(stub):
     assert stub.GetServerInfo(api.GetServerInfoRequest()).takes_pose_columns
+
+
+# Lists.
+
+
+def both_forms(stub, vehicle, **fields):
+    """The pages of a list in both forms, as pairs."""
+    request = api.ListPosesRequest(parent=vehicle, **fields)
+    while True:
+        request.as_columns = False
+        messages = stub.ListPoses(request)
+        request.as_columns = True
+        columns = stub.ListPoses(request)
+        assert not messages.columns and not columns.poses
+        assert columns.next_page_token == messages.next_page_token
+        yield messages.poses, columns.columns
+        if not messages.next_page_token:
+            return
+        request.page_token = messages.next_page_token
+
+
+@pytest.mark.parametrize("page_size", [1, 7, 100, 0])
+def test_a_page_of_columns_has_the_poses_of_the_page_of_messages(
+        stub, new_vehicle, page_size):
+    vehicle = new_vehicle()
+    poses = Drive(11)[0:300]
+    for row, each in enumerate(poses):
+        if row % 40 < 30:
+            each.ClearField("stamp")
+        if row % 70 == 69:
+            each.recording_start.unknown = True
+    for batch in batches(poses):
+        append(stub, vehicle, batch)
+    for view in (api.POSE_VIEW_CURRENT, api.POSE_VIEW_AS_SENT):
+        pages = list(both_forms(stub, vehicle, page_size=page_size, view=view))
+        for messages, columns in pages:
+            assert as_bytes(messages) == as_bytes(
+                pose for each in columns for pose in expanded(each))
+            assert page_size < 100 or len(columns) < len(messages)
+        assert as_bytes(poses) == as_bytes(
+            pose for messages, _ in pages for pose in messages)
+
+
+def test_pages_that_are_full_of_bytes_end_at_the_same_pose(stub, new_vehicle):
+    """A page has 2 MiB at most, as messages, and columns take less."""
+    vehicle = new_vehicle()
+    poses = straight(9000)
+    for each in poses:
+        each.covariance.form = api.COVARIANCE_FORM_ROS_36
+        each.covariance.values[:] = [
+            1e-2 if place % 7 == 0 else 1e-5 for place in range(36)]
+    for batch in batches(poses, 3000):
+        append(stub, vehicle, batch)
+    pages = list(both_forms(stub, vehicle, page_size=10000))
+    assert len(pages) > 1
+    for messages, columns in pages:
+        assert sum(each.pose_count for each in columns) == len(messages)
+        assert sum(each.ByteSize() for each in columns) < 2**20
+    assert sum(len(messages) for messages, _ in pages) == 9000
+
+
+def test_columns_of_fields_that_are_masked_are_empty(stub, new_vehicle):
+    vehicle = new_vehicle()
+    append(stub, vehicle, with_stamps(straight(5)))
+    for mask, filled in [
+            (["sequence"], {"first_sequence"}),
+            (["stamp", "heading_radians"],
+             {"first_stamp", "stamp_step_nanos", "heading_radians"}),
+            (["local.y_meters"], {"y_meters"}),
+            (["covariance", "quaternion"],
+             {"covariance_form", "covariance_diagonals"})]:
+        answer = stub.ListPoses(api.ListPosesRequest(
+            parent=vehicle, as_columns=True,
+            read_mask=field_mask_pb2.FieldMask(paths=mask)))
+        [columns] = answer.columns
+        assert columns.pose_count == 5
+        assert {field.name for field, _ in columns.ListFields()} == (
+            filled | {"pose_count"})
+
+
+def test_a_list_as_columns_can_be_sent_as_it_came(stub, new_vehicle):
+    vehicle, other = new_vehicle(), new_vehicle()
+    poses = with_stamps(boreas()[0])
+    for batch in batches(poses, 3000):
+        append(stub, vehicle, batch)
+    limit = stub.GetServerInfo(api.GetServerInfoRequest()).max_batch_poses
+    [page] = [columns for _, columns in both_forms(stub, vehicle, page_size=10000)]
+    assert [each.pose_count for each in page] == [
+        min(limit, len(poses) - first) for first in range(0, len(poses), limit)]
+    for columns in page:
+        append_columns(stub, other, columns)
+    assert as_bytes(list_poses(stub, other)) == as_bytes(poses)

@@ -100,6 +100,60 @@ def columns_of(poses):
     return columns
 
 
+#: How many numbers the forms of a covariance have, and which are the variances.
+COVARIANCE_PLACES = {
+    api.COVARIANCE_FORM_PLANAR_6: (6, [0, 3, 5]),
+    api.COVARIANCE_FORM_SPATIAL_10: (10, [0, 4, 7, 9]),
+    api.COVARIANCE_FORM_ROS_36: (36, list(range(0, 36, 7)))}
+
+
+def expanded(columns):
+    """The poses of columns, one number after the other."""
+    count = columns.pose_count
+    size, places = COVARIANCE_PLACES[columns.covariance_form]
+    given = len(columns.error_transitions)
+    width = next((width for width in (9, 16)
+                  if given > 0 and given in (width * count, width * (count - 1))), 0)
+    without = count - given // width if width else 0
+    stamp = columns.first_stamp.ToNanoseconds()
+    for row in range(count):
+        pose = api.Pose(sequence=columns.first_sequence + row)
+        if columns.HasField("first_stamp"):
+            stamp += columns.stamp_step_nanos[row - 1] if row > 0 else 0
+            pose.stamp.seconds, pose.stamp.nanos = divmod(stamp, 10**9)
+        if columns.x_meters:
+            pose.local.x_meters = columns.x_meters[row]
+            pose.local.y_meters = columns.y_meters[row]
+            pose.local.z_meters = columns.z_meters[row] if columns.z_meters else 0.0
+        else:
+            pose.geodetic.latitude_degrees = columns.latitude_degrees[row]
+            pose.geodetic.longitude_degrees = columns.longitude_degrees[row]
+            pose.geodetic.height_meters = (
+                columns.height_meters[row] if columns.height_meters else 0.0)
+        if columns.quaternions:
+            turn = pose.quaternion
+            turn.x, turn.y, turn.z, turn.w = columns.quaternions[4 * row:4 * row + 4]
+        else:
+            pose.heading_radians = columns.heading_radians[row]
+        pose.covariance.form = columns.covariance_form
+        values = [0.0] * size
+        if columns.covariances:
+            begin = 0 if len(columns.covariances) == size else row * size
+            values = columns.covariances[begin:begin + size]
+        else:
+            begin = (0 if len(columns.covariance_diagonals) == len(places)
+                     else row * len(places))
+            for place, one in zip(places, columns.covariance_diagonals[begin:]):
+                values[place] = one
+        pose.covariance.values.extend(values)
+        if width and row >= without:
+            begin = (row - without) * width
+            pose.error_transition.extend(columns.error_transitions[begin:begin + width])
+        if row == 0 and columns.HasField("recording_start"):
+            pose.recording_start.CopyFrom(columns.recording_start)
+        yield pose
+
+
 def append(stub, vehicle, poses, **call):
     return stub.AppendPoses(
         api.AppendPosesRequest(vehicle=vehicle, poses=poses), **call).ack

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import revisit
-from column_rows import expanded, random_poses
+from column_rows import random_poses
 from conftest import LONG, as_bytes, straight
 from drive_client import Drive
 from fake_service import serving
@@ -21,6 +21,7 @@ from revisit._pose_columns import arrays_of, columns_of, sequence_at
 from revisit.v1 import pose_graph_service_pb2_grpc as service
 from revisit_server import wait_until
 from test_arrays import identical
+from wire import expanded
 
 SEED = 20101018
 #: Waits and stall limits for servers that come to harm.
@@ -47,6 +48,15 @@ def test_columns_say_what_the_poses_say_to_the_bit():
         back = arrays_of(columns)
         assert as_bytes(back.to_messages()) == as_bytes(messages)
         assert identical(back, Poses.from_messages(messages))
+
+
+def test_a_step_may_have_64_bits():
+    poses = straight(5)
+    poses.stamp[:] = np.array([-2**62, 2**62 - 1, -2**62, -2**62 - 1, 63 - 2**62],
+                              "datetime64[ns]")
+    columns = columns_of(poses)
+    assert list(columns.stamp_step_nanos) == [2**63 - 1, -2**63 + 1, -1, 64]
+    assert identical(arrays_of(columns), poses)
 
 
 def test_numbers_that_all_poses_have_are_sent_once():
@@ -266,6 +276,27 @@ def test_arrays_arrive_once_when_the_server_is_killed(restarted, in_thread):
         assert identical(client.poses("survivor"), poses)
 
 
+def test_arrays_come_as_columns(server, new_vehicle, monkeypatch):
+    """Also those of poses that are not alike, and both clients read the same."""
+    vehicle = new_vehicle()
+    poses = Poses.from_messages(Drive(SEED)[0:500])
+
+    def never(messages):
+        pytest.fail("it makes arrays of messages")
+
+    async def read():
+        async with revisit.aio.Client(server.address) as client:
+            return await client.poses(vehicle)
+
+    with revisit.Client(server.address) as client:
+        with client.stream_poses(vehicle) as stream:
+            stream.append(poses)
+        monkeypatch.setattr(Poses, "from_messages", never)
+        assert identical(client.poses(vehicle), poses)
+        assert identical(client.poses(vehicle, 123), poses[122:])
+        assert identical(asyncio.run(read()), poses)
+
+
 # Servers that do not know columns.
 
 
@@ -428,6 +459,7 @@ def test_other_fields_have_no_sequence():
     batch = v1.PoseBatch(columns=columns_of(straight(5, first=31)))
     assert sequence_at("batch.columns.covariance_diagonals[2]", batch) == 31
     assert sequence_at("batch.columns.first_stamp.nanos", batch) == 31
+    assert sequence_at("batch.columns.stamp_step_nanos[0]", batch) == 32
     for field in ("batch.columns.covariance_form", "batch.columns.future[3]", "open",
                   "batch.poses[0]", "batch.columns"):
         assert sequence_at(field, batch) is None

@@ -39,6 +39,19 @@ grpc::Status StoreUnavailable() {
                     {"STORE_UNAVAILABLE"});
 }
 
+v1::PoseBatch SomePoses(int count) {
+  v1::PoseBatch batch;
+  for (int i = 1; i <= count; ++i) {
+    v1::Pose& pose = *batch.add_poses();
+    pose.set_sequence(static_cast<std::uint64_t>(i));
+    pose.mutable_local()->set_x_meters(0.1 * i);
+    pose.set_heading_radians(-0.0);
+    pose.mutable_covariance()->set_form(v1::COVARIANCE_FORM_PLANAR_6);
+    for (int k = 0; k < 6; ++k) pose.mutable_covariance()->add_values(k);
+  }
+  return batch;
+}
+
 TEST_F(ClientTest, RetriesReadsThatAreUnavailable) {
   server_.FailUnaryCalls({StoreUnavailable(), StoreUnavailable()});
   v1::GetVehicleRequest request;
@@ -260,6 +273,39 @@ TEST_F(ClientTest, RepeatsAChangeOfAGroupThatLostToOthersUnlessForARevision) {
   update.set_expected_revision(3);
   server_.FailUnaryCalls({lost[0]});
   EXPECT_TRUE(absl::IsAborted(client_.UpdateGroup(update).status()));
+}
+
+TEST_F(ClientTest, ListsPosesInEitherFormThatAServerAnswers) {
+  v1::PoseBatch stored = SomePoses(3);
+  // Not like the others.
+  stored.mutable_poses(1)->mutable_stamp()->set_seconds(7);
+  server_.Replace("uid", stored);
+  v1::ListPosesRequest request;
+  request.set_page_size(10);
+  for (const bool knows_columns : {true, false}) {
+    server_.TakeColumns(knows_columns);
+    const auto page = client_.ListPoses(request);
+    ASSERT_TRUE(page.ok()) << page.status();
+    EXPECT_EQ(page->columns_size(), 0);
+    ASSERT_EQ(page->poses_size(), 3);
+    for (int i = 0; i < 3; ++i) {
+      EXPECT_EQ(page->poses(i).SerializeAsString(),
+                stored.poses(i).SerializeAsString());
+    }
+    EXPECT_EQ(server_.column_pages(), 1);
+  }
+}
+
+TEST_F(ClientTest, LeavesPagesOfPosesAsTheCallerAsksForThem) {
+  server_.Replace("uid", SomePoses(2));
+  v1::ListPosesRequest request;
+  request.set_page_size(10);
+  request.set_as_columns(true);
+  EXPECT_EQ(client_.ListPoses(request)->columns_size(), 1);
+  request.set_as_columns(false);
+  request.mutable_read_mask()->add_paths("sequence");
+  EXPECT_EQ(client_.ListPoses(request)->poses_size(), 2);
+  EXPECT_EQ(server_.column_pages(), 1);
 }
 
 TEST_F(ClientTest, RetriesNoOtherCode) {

@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <functional>
+#include <limits>
 #include <optional>
 #include <random>
 #include <string>
@@ -127,11 +128,71 @@ TEST(PoseColumnsTest, SayWhatThePosesSayToTheBit) {
     *sent.mutable_columns() = *columns;
     const v1::PoseBatch expanded = Expanded(sent);
     ASSERT_EQ(expanded.poses_size(), static_cast<int>(poses.size()));
+    v1::PoseBatch read;
+    ASSERT_TRUE(AddPosesOf(*columns, read.mutable_poses()).ok());
+    ASSERT_EQ(read.poses_size(), static_cast<int>(poses.size()));
     for (std::size_t i = 0; i < poses.size(); ++i) {
-      ASSERT_EQ(expanded.poses(static_cast<int>(i)).SerializeAsString(),
+      const int place = static_cast<int>(i);
+      ASSERT_EQ(expanded.poses(place).SerializeAsString(),
+                poses[i].SerializeAsString())
+          << columns->DebugString();
+      ASSERT_EQ(read.poses(place).SerializeAsString(),
                 poses[i].SerializeAsString())
           << columns->DebugString();
     }
+  }
+}
+
+TEST(PoseColumnsTest, ColumnsThatDoNotFitAreNoPoses) {
+  std::mt19937_64 random = SeededRandom();
+  Alike alike;
+  alike.has_stamps = true;
+  alike.has_heights = true;
+  alike.transition = 9;
+  const v1::PoseColumns fitting = *ColumnsOf(RandomPoses(alike, 4, random));
+  const std::vector<std::function<void(v1::PoseColumns*)>> changes = {
+      [](v1::PoseColumns* c) { c->set_pose_count(0); },
+      [](v1::PoseColumns* c) { c->set_pose_count(-4); },
+      [](v1::PoseColumns* c) {
+        c->set_pose_count(std::numeric_limits<int>::max());
+      },
+      [](v1::PoseColumns* c) { c->clear_x_meters(); },
+      [](v1::PoseColumns* c) { c->add_y_meters(1.0); },
+      [](v1::PoseColumns* c) { c->add_z_meters(1.0); },
+      [](v1::PoseColumns* c) { c->add_latitude_degrees(1.0); },
+      [](v1::PoseColumns* c) { c->clear_heading_radians(); },
+      [](v1::PoseColumns* c) { c->add_heading_radians(1.0); },
+      [](v1::PoseColumns* c) { c->add_quaternions(1.0); },
+      [](v1::PoseColumns* c) {
+        c->clear_heading_radians();
+        c->add_quaternions(1.0);
+      },
+      [](v1::PoseColumns* c) { c->clear_covariance_form(); },
+      [](v1::PoseColumns* c) {
+        c->set_covariance_form(static_cast<v1::CovarianceForm>(77));
+      },
+      [](v1::PoseColumns* c) { c->clear_covariances(); },
+      [](v1::PoseColumns* c) { c->add_covariances(1.0); },
+      [](v1::PoseColumns* c) { c->add_error_transitions(1.0); },
+      [](v1::PoseColumns* c) { c->add_stamp_step_nanos(1); },
+      [](v1::PoseColumns* c) { c->clear_first_stamp(); },
+      [](v1::PoseColumns* c) { c->mutable_first_stamp()->set_nanos(-1); },
+      [](v1::PoseColumns* c) {
+        c->mutable_first_stamp()->set_seconds(1LL << 62);
+      },
+      [](v1::PoseColumns* c) {
+        for (auto& step : *c->mutable_stamp_step_nanos()) step = 1LL << 62;
+      },
+  };
+  for (std::size_t i = 0; i < changes.size(); ++i) {
+    v1::PoseColumns columns = fitting;
+    v1::PoseBatch read;
+    EXPECT_TRUE(AddPosesOf(columns, read.mutable_poses()).ok());
+    changes[i](&columns);
+    EXPECT_EQ(AddPosesOf(columns, read.mutable_poses()).code(),
+              absl::StatusCode::kInternal)
+        << i;
+    EXPECT_EQ(read.poses_size(), 4) << i;
   }
 }
 
