@@ -207,8 +207,8 @@ def accept_data_loss(vehicle: str, durable_sequence: int) -> Call[v1.Vehicle]:
 
 
 class Appending:
-    """A batch by AppendPoses: arrays as columns, where there are any, or as messages for
-    a server that knows no columns."""
+    """A batch by AppendPoses: arrays as columns, where there are any, or as messages
+    for a server that knows no columns."""
 
     def __init__(self, vehicle: str, poses: PosesLike, vehicle_uid: str) -> None:
         self._poses = poses

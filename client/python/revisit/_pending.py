@@ -3,33 +3,38 @@
 from __future__ import annotations
 
 import collections
-import dataclasses
 from collections.abc import Iterator
 from typing import Union
 
-import numpy as np
-from numpy.typing import NDArray
-
 from revisit import v1
 from revisit._pose_columns import columns_of
-from revisit.arrays import Poses, joined, recording_rows
+from revisit.arrays import COLUMNS, Poses, joined, recording_rows
 
 
-@dataclasses.dataclass(frozen=True)
 class Held:
     """Poses that follow each other, of which none but the first begins a recording:
-    rows of arrays, or messages."""
+    rows of arrays, which all take the same, or messages."""
 
-    first_sequence: int
-    poses: Union[Poses, list[v1.Pose]]
-    #: Bytes of each.
-    sizes: NDArray[np.int64]
+    __slots__ = ("first_sequence", "poses", "sizes")
+
+    def __init__(self, first_sequence: int, poses: Union[Poses, list[v1.Pose]],
+                 sizes: list[int]) -> None:
+        """`sizes` are the bytes of each."""
+        self.first_sequence = first_sequence
+        self.poses = poses
+        self.sizes = sizes
 
     def __len__(self) -> int:
         return len(self.sizes)
 
+    @property
+    def bytes(self) -> int:
+        return sum(self.sizes)
+
     def part(self, first: int, end: int) -> Held:
         """Those from one row up to before another."""
+        if first == 0 and end == len(self):
+            return self
         return Held(self.first_sequence + first, self.poses[first:end],
                     self.sizes[first:end])
 
@@ -38,9 +43,8 @@ class Held:
         they are held."""
         if not isinstance(self.poses, Poses):
             return self
-        copies = {field.name: getattr(self.poses, field.name).copy()
-                  for field in dataclasses.fields(Poses)}
-        return dataclasses.replace(self, poses=Poses(**copies))
+        copies = [getattr(self.poses, name).copy() for name in COLUMNS]
+        return Held(self.first_sequence, Poses(*copies), self.sizes)
 
     def goes_on(self, before: Held) -> bool:
         """Whether a batch may have these poses behind others."""
@@ -64,9 +68,8 @@ class Held:
 
 def _recordings(starts: list[int], whole: Held) -> Iterator[Held]:
     """The poses, divided before those rows that begin a recording."""
-    ends = [row for row in starts if row > 0] + [len(whole)]
     first = 0
-    for end in ends:
+    for end in [*(row for row in starts if row > 0), len(whole)]:
         yield whole.part(first, end)
         first = end
 
@@ -74,17 +77,16 @@ def _recordings(starts: list[int], whole: Held) -> Iterator[Held]:
 def held_arrays(poses: Poses) -> Iterator[Held]:
     """The poses as a stream holds them, still in the caller's arrays. There is at least
     one, with its sequence."""
-    size = sum(getattr(poses, field.name).nbytes
-               for field in dataclasses.fields(poses)) // len(poses)
-    return _recordings(recording_rows(poses), Held(
-        int(poses.sequence[0]), poses, np.full(len(poses), size, np.int64)))
+    size = sum(getattr(poses, name).nbytes for name in COLUMNS) // len(poses)
+    return _recordings(recording_rows(poses),
+                       Held(int(poses.sequence[0]), poses, [size] * len(poses)))
 
 
 def held_messages(poses: list[v1.Pose]) -> Iterator[Held]:
     """The poses as a stream holds them. There is at least one."""
     starts = [row for row, pose in enumerate(poses) if pose.HasField("recording_start")]
-    return _recordings(starts, Held(poses[0].sequence, poses, np.array(
-        [pose.ByteSize() for pose in poses], np.int64)))
+    return _recordings(starts, Held(poses[0].sequence, poses,
+                                    [pose.ByteSize() for pose in poses]))
 
 
 def _joined(parts: list[Held]) -> Held:
@@ -94,7 +96,7 @@ def _joined(parts: list[Held]) -> Held:
     messages = [pose for part in parts if not isinstance(part.poses, Poses)
                 for pose in part.poses]
     return Held(parts[0].first_sequence, joined(arrays) if arrays else messages,
-                np.concatenate([part.sizes for part in parts]))
+                [size for part in parts for size in part.sizes])
 
 
 class PendingPoses:
@@ -119,20 +121,25 @@ class PendingPoses:
 
     def room_for(self, held: Held) -> int:
         """For how many of these poses there is room."""
-        sizes = held.sizes[:max(self._max_poses - len(self), 0)]
-        return int(np.searchsorted(np.cumsum(sizes), self._max_bytes - self.bytes,
-                                   side="right"))
+        most = min(len(held), self._max_poses - len(self))
+        left = self._max_bytes - self.bytes
+        if isinstance(held.poses, Poses):
+            return max(min(most, left // held.sizes[0]), 0)
+        for count, size in enumerate(held.sizes[:max(most, 0)]):
+            left -= size
+            if left < 0:
+                return count
+        return max(most, 0)
 
     def has_room(self, parts: list[Held]) -> bool:
         """Whether there is room for all."""
         return (len(self) + sum(map(len, parts)) <= self._max_poses
-                and self.bytes + sum(int(part.sizes.sum()) for part in parts)
-                <= self._max_bytes)
+                and self.bytes + sum(part.bytes for part in parts) <= self._max_bytes)
 
     def take(self, held: Held) -> None:
         self._unsent.append(held.owned())
         self.unsent += len(held)
-        self.bytes += int(held.sizes.sum())
+        self.bytes += held.bytes
 
     def next_batch(self, max_poses: int, as_columns: bool) -> v1.PoseBatch:
         """The next unsent poses, which count as sent from now on. There are some."""
@@ -170,7 +177,7 @@ class PendingPoses:
         while poses and poses[0].first_sequence <= last_sequence:
             held = poses.popleft()
             count = min(last_sequence - held.first_sequence + 1, len(held))
-            self.bytes -= int(held.sizes[:count].sum())
+            self.bytes -= sum(held.sizes[:count])
             dropped += count
             if count < len(held):
                 poses.appendleft(held.part(count, len(held)))

@@ -120,37 +120,41 @@ class StreamState:
                 copy = v1.Pose()
                 copy.CopyFrom(pose)
                 copies.append(copy)
-            self._check_order(np.array([pose.sequence for pose in copies], np.uint64))
+            self._check_order([pose.sequence for pose in copies])
             parts = list(held_messages(copies)) if copies else []
         limit = self.options.max_pending_bytes
         for part in parts:
-            for row in np.flatnonzero(part.sizes > limit):
+            largest = max(part.sizes)
+            if largest > limit:
+                sequence = part.first_sequence + part.sizes.index(largest)
                 raise InvalidArgument(
-                    f"the pose of sequence {part.first_sequence + row} takes "
-                    f"{part.sizes[row]} bytes, more than max_pending_bytes allows "
-                    f"({limit})")
+                    f"the pose of sequence {sequence} takes {largest} bytes, more than "
+                    f"max_pending_bytes allows ({limit})")
         return parts
 
-    def _check_order(self, sequences: NDArray[np.uint64]) -> None:
+    def _check_order(self, sequences: Union[list[int], NDArray[np.uint64]]) -> None:
         if len(sequences) == 0:
             return
         self.check_open()
         first = self.last_taken + 1 if self.last_taken > 0 else max(
             int(sequences[0]), 1)
+        if len(sequences) == 1 and sequences[0] == first:
+            return
         expected = np.arange(first, first + len(sequences), dtype=np.uint64)
-        wrong = np.flatnonzero(sequences != expected)
+        wrong = np.flatnonzero(np.asarray(sequences, np.uint64) != expected)
         if wrong.size:
             raise InvalidArgument(f"sequence {sequences[wrong[0]]} where "
                                   f"{expected[wrong[0]]} comes next")
 
-    def take(self, held: Held) -> Held:
-        """Takes as many as there is room for, and returns the others."""
+    def take(self, held: Held) -> Optional[Held]:
+        """Takes as many as there is room for, and returns the others; None if there are
+        none."""
         self.check_open()
         taken = self.pending.room_for(held)
         if taken > 0:
             self.last_taken = held.first_sequence + taken - 1
             self.pending.take(held.part(0, taken))
-        return held.part(taken, len(held))
+        return None if taken == len(held) else held.part(taken, len(held))
 
     def check_open(self) -> None:
         """Raises why no poses are taken, if none are."""

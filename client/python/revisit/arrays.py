@@ -328,8 +328,7 @@ class Poses:
     def __getitem__(self, index: Index) -> Poses:
         """Some of the rows: a slice, a mask or a list of row numbers. As in numpy,
         a slice shares its numbers with these poses."""
-        return Poses(**{field.name: getattr(self, field.name)[index]
-                        for field in dataclasses.fields(self)})
+        return Poses(*[getattr(self, name)[index] for name in COLUMNS])
 
     def numbered(self, first_sequence: int) -> Poses:
         """The same poses with consecutive sequences from this one on."""
@@ -439,6 +438,10 @@ class Poses:
             columns, index=pandas.Index(self.sequence, name="sequence"))
 
 
+#: The arrays of poses, in the order in which `Poses` takes them.
+COLUMNS = tuple(field.name for field in dataclasses.fields(Poses))
+
+
 def recording_rows(poses: Poses) -> list[int]:
     """The rows that begin a recording."""
     return [row for row, start in enumerate(poses.recording_start.tolist())
@@ -451,14 +454,14 @@ def joined(parts: Sequence[Poses]) -> Poses:
         return parts[0]
     if not parts:
         return Poses.from_messages([])
-    columns = {}
-    for field in dataclasses.fields(Poses):
-        arrays = [getattr(part, field.name) for part in parts]
-        if field.name in ("covariance", "error_transition"):
+    columns = []
+    for name in COLUMNS:
+        arrays = [getattr(part, name) for part in parts]
+        if name in ("covariance", "error_transition"):
             width = max(array.shape[1] for array in arrays)
             arrays = [_widened(array, width) for array in arrays]
-        columns[field.name] = np.concatenate(arrays)
-    return Poses(**columns)
+        columns.append(np.concatenate(arrays))
+    return Poses(*columns)
 
 
 def _widened(table: Float, width: int) -> Float:
