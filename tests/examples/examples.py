@@ -18,7 +18,7 @@ from wire import BOREAS, as_bytes, boreas, get, list_poses
 BUILD = ROOT / "build/examples"
 # The address, the drive and the vehicle in the commands of the READMEs.
 ARGUMENTS = "127.0.0.1:50051", BOREAS.name, "shuttle-1"
-# Where the server is killed. The whole drive takes some 240 kB.
+# Where the server is killed. The whole drive takes some 180 kB as columns.
 BYTES_BEFORE_KILL = 100_000
 BUILD_SECONDS = 900
 RUN_SECONDS = 120

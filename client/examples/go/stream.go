@@ -73,20 +73,24 @@ func streamOnce(ctx context.Context, client revisitv1.PoseGraphServiceClient,
 			return err
 		}
 		if opened := answer.GetOpened(); opened != nil {
-			go send(call, poses[opened.GetDurableSequence():])
+			go send(call, poses[opened.GetDurableSequence():], opened.GetTakesPoseColumns())
 		}
 		take(answer)
 	}
 }
 
 // send sends the poses, no faster than the server reads them.
-func send(call revisitv1.PoseGraphService_StreamPosesClient, poses []*revisitv1.Pose) {
+func send(call revisitv1.PoseGraphService_StreamPosesClient, poses []*revisitv1.Pose,
+	takesColumns bool) {
 	for len(poses) > 0 {
 		count := min(batchSize, len(poses))
+		// Servers that know no columns take the same poses as messages.
+		batch := &revisitv1.PoseBatch{Poses: poses[:count]}
+		if takesColumns {
+			batch = &revisitv1.PoseBatch{Columns: columnsOf(poses[:count])}
+		}
 		err := call.Send(&revisitv1.StreamPosesRequest{
-			Message: &revisitv1.StreamPosesRequest_Batch{
-				Batch: &revisitv1.PoseBatch{Poses: poses[:count]},
-			},
+			Message: &revisitv1.StreamPosesRequest_Batch{Batch: batch},
 		})
 		if err != nil {
 			return

@@ -4,7 +4,7 @@ use std::error::Error;
 
 use crate::revisit::v1::{
     pose::{Orientation, Position},
-    Covariance, CovarianceForm, LocalPosition, Pose,
+    Covariance, CovarianceForm, LocalPosition, Pose, PoseColumns,
 };
 
 const COVARIANCE: [&str; 6] = ["pxx", "pxy", "pxt", "pyy", "pyt", "ptt"];
@@ -61,4 +61,36 @@ fn make_pose(
         // A field that a later version adds is left out, and the program compiles.
         ..Pose::default()
     })
+}
+
+/// The poses as columns, which take less to send and to read. All poses of this drive have
+/// the same fields, or they would be messages.
+pub fn columns_of(poses: &[Pose]) -> PoseColumns {
+    let mut columns = PoseColumns {
+        first_sequence: poses[0].sequence,
+        pose_count: poses.len() as i32,
+        first_stamp: poses[0].stamp,
+        covariance_form: CovarianceForm::Planar6.into(),
+        ..PoseColumns::default()
+    };
+    for pose in poses {
+        if let Some(Position::Local(local)) = pose.position {
+            columns.x_meters.push(local.x_meters);
+            columns.y_meters.push(local.y_meters);
+        }
+        if let Some(Orientation::HeadingRadians(heading)) = pose.orientation {
+            columns.heading_radians.push(heading);
+        }
+        if let Some(covariance) = &pose.covariance {
+            columns.covariances.extend(&covariance.values);
+        }
+    }
+    let stamps: Vec<i64> = poses.iter().map(nanoseconds_of).collect();
+    columns.stamp_step_nanos = stamps.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    columns
+}
+
+fn nanoseconds_of(pose: &Pose) -> i64 {
+    let stamp = pose.stamp.unwrap_or_default();
+    stamp.seconds * 1_000_000_000 + i64::from(stamp.nanos)
 }

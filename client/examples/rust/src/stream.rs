@@ -9,7 +9,7 @@ use crate::revisit::v1::{
     stream_poses_response::Message as Answer, Candidate, CandidateSet, Node, Pose, PoseBatch,
     StreamPosesOpen, StreamPosesRequest, Vehicle, Verdict,
 };
-use crate::{code_name, retry::wait_before_retry};
+use crate::{code_name, drive::columns_of, retry::wait_before_retry};
 
 const BATCH: usize = 64;
 
@@ -80,7 +80,7 @@ impl<'a> PoseStreamer<'a> {
                     println!("stream: open, durable up to {}", opened.durable_sequence);
                     if let Some(sender) = sender.take() {
                         let rest = &self.poses[opened.durable_sequence as usize..];
-                        tokio::spawn(send(sender, rest.to_vec()));
+                        tokio::spawn(send(sender, rest.to_vec(), opened.takes_pose_columns));
                     }
                 }
                 Some(Answer::Ack(ack)) => {
@@ -112,12 +112,15 @@ impl<'a> PoseStreamer<'a> {
 
 /// Sends the poses, no faster than the server reads them. Once the sender is dropped,
 /// the stream is half-closed.
-async fn send(sender: mpsc::Sender<StreamPosesRequest>, poses: Vec<Pose>) {
-    for batch in poses.chunks(BATCH) {
-        let batch = PoseBatch {
-            poses: batch.to_vec(),
-            ..Default::default()
-        };
+async fn send(sender: mpsc::Sender<StreamPosesRequest>, poses: Vec<Pose>, takes_columns: bool) {
+    for part in poses.chunks(BATCH) {
+        let mut batch = PoseBatch::default();
+        if takes_columns {
+            batch.columns = Some(columns_of(part));
+        } else {
+            // Servers that know no columns take the same poses as messages.
+            batch.poses = part.to_vec();
+        }
         if sender.send(request(Request::Batch(batch))).await.is_err() {
             return; // The stream is over.
         }

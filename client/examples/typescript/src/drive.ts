@@ -1,6 +1,7 @@
 import { readFileSync } from "node:fs";
 
 import { CovarianceForm, Pose } from "../gen/revisit/v1/geometry.js";
+import { PoseColumns } from "../gen/revisit/v1/pose_columns.js";
 
 const COVARIANCE = ["pxx", "pxy", "pxt", "pyy", "pyt", "ptt"];
 
@@ -32,5 +33,26 @@ function makePose(sequence: bigint, column: (name: string) => number): Pose {
       form: CovarianceForm.COVARIANCE_FORM_PLANAR_6,
       values: COVARIANCE.map(column),
     },
+  });
+}
+
+/**
+ * The poses as columns, which take less to send and to read. All poses of this drive
+ * have the same fields, or they would be messages.
+ */
+export function columnsOf(poses: Pose[]): PoseColumns {
+  const stamps = poses.map(
+    ({ stamp }) => stamp!.seconds * 1_000_000_000n + BigInt(stamp!.nanos),
+  );
+  return PoseColumns.fromPartial({
+    firstSequence: poses[0].sequence,
+    poseCount: poses.length,
+    firstStamp: poses[0].stamp,
+    stampStepNanos: stamps.slice(1).map((stamp, index) => stamp - stamps[index]),
+    xMeters: poses.map(({ local }) => local!.xMeters),
+    yMeters: poses.map(({ local }) => local!.yMeters),
+    headingRadians: poses.map(({ headingRadians }) => headingRadians!),
+    covarianceForm: CovarianceForm.COVARIANCE_FORM_PLANAR_6,
+    covariances: poses.flatMap(({ covariance }) => covariance!.values),
   });
 }

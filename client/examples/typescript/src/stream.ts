@@ -7,10 +7,12 @@ import { Pose } from "../gen/revisit/v1/geometry.js";
 import {
   PoseGraphServiceClient,
   StreamPosesOpen,
+  StreamPosesOpened,
   StreamPosesRequest,
 } from "../gen/revisit/v1/pose_graph_service.js";
 import { Vehicle } from "../gen/revisit/v1/vehicle.js";
 import { waitBeforeRetry } from "./details.js";
+import { columnsOf } from "./drive.js";
 
 const BATCH = 64;
 
@@ -31,7 +33,7 @@ export async function stream(
     sendCandidates: true,
   });
   for (let attempt = 1; ; ++attempt) {
-    const opened = deferred<bigint>();
+    const opened = deferred<StreamPosesOpened | undefined>();
     try {
       for await (const answer of client.streamPoses(
         requests(opening, poses, opened.promise),
@@ -39,7 +41,7 @@ export async function stream(
         if (answer.opened) {
           opening.ackedSequence = answer.opened.durableSequence;
           console.log(`stream: open, durable up to ${opening.ackedSequence}`);
-          opened.resolve(opening.ackedSequence);
+          opened.resolve(answer.opened);
         } else if (answer.ack) {
           opening.ackedSequence = answer.ack.durableSequence;
           attempt = 0;
@@ -61,7 +63,7 @@ export async function stream(
       await sleep(wait);
     } finally {
       // Lets the requests of a stream that was never opened come to their end.
-      opened.resolve(BigInt(poses.length));
+      opened.resolve(undefined);
     }
   }
 }
@@ -70,11 +72,17 @@ export async function stream(
 async function* requests(
   opening: StreamPosesOpen,
   poses: Pose[],
-  opened: Promise<bigint>,
+  opened: Promise<StreamPosesOpened | undefined>,
 ): AsyncIterable<StreamPosesRequest> {
   yield StreamPosesRequest.fromPartial({ open: opening });
-  for (let next = Number(await opened); next < poses.length; next += BATCH) {
-    const batch = { poses: poses.slice(next, next + BATCH) };
+  const answer = await opened;
+  if (answer === undefined) {
+    return;
+  }
+  for (let next = Number(answer.durableSequence); next < poses.length; next += BATCH) {
+    const part = poses.slice(next, next + BATCH);
+    // Servers that know no columns take the same poses as messages.
+    const batch = answer.takesPoseColumns ? { columns: columnsOf(part) } : { poses: part };
     yield StreamPosesRequest.fromPartial({ batch });
   }
 }

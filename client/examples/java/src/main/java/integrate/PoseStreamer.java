@@ -69,7 +69,8 @@ final class PoseStreamer {
       while ((answer = call.read()) != null) {
         if (answer.hasOpened()) {
           int next = (int) answer.getOpened().getDurableSequence();
-          sender = new Thread(() -> send(call, poses.subList(next, poses.size())));
+          boolean takesColumns = answer.getOpened().getTakesPoseColumns();
+          sender = new Thread(() -> send(call, poses.subList(next, poses.size()), takesColumns));
           sender.start();
         }
         take(answer);
@@ -84,16 +85,20 @@ final class PoseStreamer {
 
   /** Sends the poses, no faster than the server reads them. */
   private static void send(
-      BlockingClientCall<StreamPosesRequest, StreamPosesResponse> call, List<Pose> poses) {
+      BlockingClientCall<StreamPosesRequest, StreamPosesResponse> call,
+      List<Pose> poses,
+      boolean takesColumns) {
     try {
       for (int first = 0; first < poses.size(); first += BATCH) {
-        List<Pose> batch = poses.subList(first, Math.min(first + BATCH, poses.size()));
-        boolean open =
-            call.write(
-                StreamPosesRequest.newBuilder()
-                    .setBatch(PoseBatch.newBuilder().addAllPoses(batch))
-                    .build());
-        if (!open) {
+        List<Pose> part = poses.subList(first, Math.min(first + BATCH, poses.size()));
+        PoseBatch.Builder batch = PoseBatch.newBuilder();
+        if (takesColumns) {
+          batch.setColumns(Drive.columnsOf(part));
+        } else {
+          // Servers that know no columns take the same poses as messages.
+          batch.addAllPoses(part);
+        }
+        if (!call.write(StreamPosesRequest.newBuilder().setBatch(batch).build())) {
           return;
         }
       }
