@@ -4,6 +4,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <chrono>
 #include <cstddef>
 #include <fstream>
 
@@ -18,18 +19,8 @@ constexpr std::int64_t kMuchToTrim = std::int64_t{32} << 20;
 // The heap counts as shrinking if it lost this much between two looks.
 constexpr std::int64_t kStillShrinking = std::int64_t{256} << 10;
 
-struct Memory {
-  // Bytes on the heap and in mapped blocks.
-  std::int64_t in_use;
-  // Bytes resident but not in use. That is more than could be given back, so
-  // that only its growth is informative.
-  std::int64_t unused;
-};
-
-Memory Look() {
-  const struct mallinfo2 heap = mallinfo2();
-  const auto in_use = static_cast<std::int64_t>(heap.uordblks + heap.hblkhd);
-  return {in_use, ResidentBytes() - in_use};
+std::chrono::nanoseconds Now() {
+  return std::chrono::steady_clock::now().time_since_epoch();
 }
 
 }  // namespace
@@ -90,18 +81,35 @@ std::int64_t DefaultMemoryLimit() {
 }
 
 void Trimmer::TrimIfWorthwhile() {
-  const Memory memory = Look();
-  if (memory.unused - least_unused_ >= kWorthTrimming ||
-      trimmed_in_use_ - memory.in_use >= kStillShrinking) {
+  const std::optional<Memory> memory = LookIfDue();
+  if (!memory) return;
+  if (memory->unused - least_unused_ >= kWorthTrimming ||
+      trimmed_in_use_ - memory->in_use >= kStillShrinking) {
     Trim();
   } else {
-    least_unused_ = std::min(least_unused_, memory.unused);
+    least_unused_ = std::min(least_unused_, memory->unused);
     trimmed_in_use_ = 0;
   }
 }
 
 void Trimmer::TrimIfMuch() {
-  if (Look().unused - least_unused_ >= kMuchToTrim) Trim();
+  const std::optional<Memory> memory = LookIfDue();
+  if (memory && memory->unused - least_unused_ >= kMuchToTrim) Trim();
+}
+
+std::optional<Trimmer::Memory> Trimmer::LookIfDue() {
+  const std::chrono::nanoseconds begin = Now();
+  if (!looks_.MayBegin(begin)) return std::nullopt;
+  const Memory memory = Look();
+  looks_.Ended(begin, Now());
+  return memory;
+}
+
+// Goes through all chunks that are free.
+Trimmer::Memory Trimmer::Look() {
+  const struct mallinfo2 heap = mallinfo2();
+  const auto in_use = static_cast<std::int64_t>(heap.uordblks + heap.hblkhd);
+  return {in_use, ResidentBytes() - in_use};
 }
 
 void Trimmer::Trim() {

@@ -6,6 +6,8 @@
 #include <optional>
 #include <string>
 
+#include "server/base/share_of_time.h"
+
 namespace revisit::server {
 
 // Resident bytes of this process; 0 if the system does not say.
@@ -21,7 +23,9 @@ std::optional<std::int64_t> ControlGroupLimit(const std::string& root = "");
 std::int64_t DefaultMemoryLimit();
 
 // Returns freed memory that the C library keeps to the system, if that is worth
-// the time: some milliseconds per 100 MB. Thread-compatible.
+// the time: some milliseconds per 100 MB. To look whether it is takes tens of
+// milliseconds of a heap in small pieces, so the conditional calls rest
+// a hundred times as long as the last look took. Thread-compatible.
 class Trimmer {
  public:
   // Trims after vehicles were unloaded, and after many calls or streams ended
@@ -37,10 +41,23 @@ class Trimmer {
   void Trim();
 
  private:
+  struct Memory {
+    // Bytes on the heap and in mapped blocks.
+    std::int64_t in_use;
+    // Bytes resident but not in use. That is more than could be given back, so
+    // that only its growth is informative.
+    std::int64_t unused;
+  };
+
+  static Memory Look();
+  // Nothing if looks have taken their share of the time.
+  std::optional<Memory> LookIfDue();
+
   // Unused bytes after the last trim, or the fewest seen since.
   std::int64_t least_unused_ = 0;
   // Bytes in use after the last look, if that trimmed; else 0.
   std::int64_t trimmed_in_use_ = 0;
+  ShareOfTime looks_;
 };
 
 }  // namespace revisit::server
