@@ -13,6 +13,7 @@
 #include "revisit/v1/candidate.pb.h"
 #include "server/base/status.h"
 #include "server/conversion/answers.h"
+#include "server/conversion/found_evidence.h"
 #include "server/conversion/names.h"
 #include "server/conversion/page_token.h"
 #include "server/fields/enums.h"
@@ -150,14 +151,11 @@ std::string ProtoCheckCodec::EncodeEvent(const EventOrigin& origin,
   event.candidate = check.candidates[index];
   event.check_sequence = check_sequence;
   const bool is_latest = event.candidate->latest_rank > 0;
-  v1::CandidateSet found;
-  if (found.ParseFromString(is_latest ? check.latest : check.found)) {
-    event.revision = found.revision();
-    const v1::Candidate* const evidence =
-        WithRank(found, is_latest ? event.candidate->latest_rank
-                                  : event.candidate->rank);
-    if (evidence != nullptr) event.evidence = evidence->SerializeAsString();
-  }
+  FoundEvidence found = FindEvidence(
+      is_latest ? check.latest : check.found,
+      is_latest ? event.candidate->latest_rank : event.candidate->rank);
+  event.revision = found.revision;
+  event.evidence = std::move(found.evidence);
   return EncodeEventRecord(event);
 }
 
