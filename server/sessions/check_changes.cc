@@ -6,7 +6,6 @@
 #include <utility>
 
 #include "core/drive/node_range.h"
-#include "core/search/candidates/value.h"
 
 namespace revisit::server {
 
@@ -108,7 +107,8 @@ void CheckChanges::Change(const CheckRecord& record, StoredCheck* check,
   candidate.actor = transition.actor;
   candidate.update_time_ns = transition.time_ns;
   candidate.decision = transition.decision;
-  candidate.value = ValueOf(record.sequence, candidate);
+  core::VarianceReductions reductions = Reductions();
+  candidate.value = ValueOf(record.sequence, candidate, &reductions);
   Tell(record.sequence, check, index, write);
   Put(record, *check, write);
 }
@@ -158,7 +158,8 @@ void CheckChanges::Decide(std::uint64_t sequence,
 }
 
 double CheckChanges::ValueOf(std::uint64_t sequence,
-                             const StoredCandidate& candidate) const {
+                             const StoredCandidate& candidate,
+                             core::VarianceReductions* reductions) const {
   if (candidate.state != CandidateState::kOpen || !candidate.is_own() ||
       candidate.probability <= 0.0) {
     return 0.0;
@@ -167,8 +168,7 @@ double CheckChanges::ValueOf(std::uint64_t sequence,
   const auto query = graph.NodeAtOrBefore(sequence);
   const auto matched = graph.NodeAtOrBefore(candidate.matched_sequence);
   if (!query || !matched) return 0.0;
-  return candidate.probability *
-         core::VarianceReduction(*vehicle_->loaded, *query, *matched);
+  return candidate.probability * reductions->Of(*query, *matched);
 }
 
 std::uint32_t CheckChanges::OpenCount(const StoredCheck& check) {

@@ -11,6 +11,7 @@
 
 #include "core/drive/pose_graph.h"
 #include "core/search/candidates/candidate.h"
+#include "core/search/candidates/value.h"
 #include "server/sessions/check_codec.h"
 #include "server/sessions/check_scopes.h"
 #include "server/sessions/vehicle_state.h"
@@ -91,10 +92,14 @@ class CheckChanges {
               const StoredCandidate& candidate) const;
   // Has a pair that is there decide on a candidate that was just found.
   void Decide(std::uint64_t sequence, StoredCandidate* candidate) const;
+  // For ValueOf(), as long as the vehicle does not change.
+  core::VarianceReductions Reductions() const {
+    return core::VarianceReductions(*vehicle_->loaded);
+  }
   // StoredCandidate::value, given the closures that there are: 0 of one in the
   // history of another vehicle.
-  double ValueOf(std::uint64_t sequence,
-                 const StoredCandidate& candidate) const;
+  double ValueOf(std::uint64_t sequence, const StoredCandidate& candidate,
+                 core::VarianceReductions* reductions) const;
 
   static std::uint32_t OpenCount(const StoredCheck& check);
 

@@ -60,7 +60,8 @@ struct StoredCandidate {
   std::uint64_t event_number = 0;
   // By the last search; 0 where that did not find it.
   double probability = 0.0;
-  // The probability times core::VarianceReduction(), m^2, of one that is open.
+  // The probability times core::VarianceReductions::Of(), m^2, of one that is
+  // open.
   double value = 0.0;
   // The id of the closure that was found to contradict others, so that it is
   // asked about once; empty if none was.

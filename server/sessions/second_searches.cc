@@ -156,11 +156,14 @@ absl::StatusOr<ChecksWrite> SecondSearches::LookAtPage() {
   look_from_ = static_cast<int>(page->size()) < kChecksPerLook
                    ? 0
                    : page->back().sequence + 1;
-  for (const CheckRecord& record : *page) LookAt(record, &write);
+  core::VarianceReductions reductions = changes_->Reductions();
+  for (const CheckRecord& record : *page) LookAt(record, &reductions, &write);
   return write;
 }
 
-void SecondSearches::LookAt(const CheckRecord& record, ChecksWrite* write) {
+void SecondSearches::LookAt(const CheckRecord& record,
+                            core::VarianceReductions* reductions,
+                            ChecksWrite* write) {
   std::optional<StoredCheck> check = changes_->Read(record);
   if (!check) return;
   const std::int64_t now_ns = vehicle_->clock();
@@ -194,7 +197,8 @@ void SecondSearches::LookAt(const CheckRecord& record, ChecksWrite* write) {
     is_undecided =
         is_undecided || (IsUndecided(candidate.state) &&
                          candidate.cause != CandidateCause::kRetention);
-    const double renewed = changes_->ValueOf(record.sequence, candidate);
+    const double renewed =
+        changes_->ValueOf(record.sequence, candidate, reductions);
     if (std::abs(renewed - candidate.value) >
         kValueStep * std::max(renewed, candidate.value)) {
       candidate.value = renewed;
@@ -359,13 +363,15 @@ absl::StatusOr<ChecksWrite> SecondSearches::Compare(const Answer& answer) {
   check->latest = answer.bytes;
   check->stale = false;
   const std::int64_t now_ns = vehicle_->clock();
+  core::VarianceReductions reductions = changes_->Reductions();
   for (std::size_t i = 0; i < same.size(); ++i) {
     StoredCandidate& candidate = check->candidates[i];
     candidate.latest_rank = same[i] ? same[i]->candidate.latest_rank : 0;
     // Places in vehicles that were not searched are as probable as they were.
     if (GraphOf(candidate, answer) == nullptr) continue;
     candidate.probability = same[i] ? same[i]->candidate.probability : 0.0;
-    candidate.value = changes_->ValueOf(record.sequence, candidate);
+    candidate.value =
+        changes_->ValueOf(record.sequence, candidate, &reductions);
   }
   for (std::size_t i = 0; i < same.size(); ++i) {
     const StoredCandidate& candidate = check->candidates[i];
@@ -391,7 +397,7 @@ absl::StatusOr<ChecksWrite> SecondSearches::Compare(const Answer& answer) {
     late.cause = CandidateCause::kSearch;
     late.update_time_ns = now_ns;
     changes_->Decide(record.sequence, &late);
-    late.value = changes_->ValueOf(record.sequence, late);
+    late.value = changes_->ValueOf(record.sequence, late, &reductions);
     changes_->Tell(record.sequence, &*check, check->candidates.size() - 1,
                    &write);
     if (!late.is_own()) links_->LookAt(record.sequence);

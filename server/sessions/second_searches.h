@@ -34,6 +34,7 @@
 #include "core/drive/pose_graph.h"
 #include "core/drive/suspects.h"
 #include "core/search/candidates/candidate.h"
+#include "core/search/candidates/value.h"
 #include "server/sessions/check_basis.h"
 #include "server/sessions/check_changes.h"
 #include "server/sessions/check_monitor.h"
@@ -126,7 +127,8 @@ class SecondSearches {
                std::function<void(bool)> then);
   void LookAtNextPage();
   absl::StatusOr<ChecksWrite> LookAtPage();
-  void LookAt(const CheckRecord& record, ChecksWrite* write);
+  void LookAt(const CheckRecord& record, core::VarianceReductions* reductions,
+              ChecksWrite* write);
   void EndLook();
   // Gives up what was begun, until something calls Consider() again.
   void GiveUp();

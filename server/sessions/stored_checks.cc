@@ -8,6 +8,7 @@
 #include "core/drive/node_range.h"
 #include "core/drive/pose_graph.h"
 #include "core/search/candidates/candidate.h"
+#include "core/search/candidates/value.h"
 #include "core/search/search.h"
 #include "server/base/status.h"
 #include "server/storage/storage.h"
@@ -216,6 +217,7 @@ void StoredChecks::Write() {
 
 ChecksWrite StoredChecks::MakeWrite() {
   ChecksWrite write = changes_.Begin();
+  core::VarianceReductions reductions = changes_.Reductions();
   write.after.stores = Stores();
   for (const Made& made : made_) {
     write.after.checked_sequence = made.sequence;
@@ -227,7 +229,8 @@ ChecksWrite StoredChecks::MakeWrite() {
       StoredCandidate& candidate = check.candidates[i];
       candidate.update_time_ns = now_ns;
       changes_.Decide(made.sequence, &candidate);
-      candidate.value = changes_.ValueOf(made.sequence, candidate);
+      candidate.value =
+          changes_.ValueOf(made.sequence, candidate, &reductions);
       changes_.Tell(made.sequence, &check, i, &write);
     }
     CheckRecord record;

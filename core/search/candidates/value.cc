@@ -5,7 +5,7 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
-#include <cstdint>
+#include <memory>
 #include <optional>
 #include <vector>
 
@@ -21,10 +21,25 @@
 #include "core/search/alignment/known_drift.h"
 
 namespace revisit::core {
+
+// The nodes over which the mean is taken, in their order: their places, and the
+// rows of x and y of their covariances, scaled. Each in a column of its own, so
+// that the reductions of several nodes are found at once.
+struct VarianceReductions::MeanNodes {
+  static constexpr NodeIndex kMost = 256;
+  using Column = std::array<double, kMost>;
+
+  std::vector<NodeIndex> indices;
+  Column x;
+  Column y;
+  // By the coordinate of the state.
+  std::array<Column, 4> of_x;
+  std::array<Column, 4> of_y;
+};
+
 namespace {
 
-// Nodes over which the mean is taken.
-constexpr NodeIndex kMeanNodes = 256;
+using MeanNodes = VarianceReductions::MeanNodes;
 
 // Two poses whose errors' difference, e_query - e_matched, is shown up to the
 // tolerance.
@@ -97,10 +112,12 @@ std::vector<const ConfirmedLoop*> NearestClosures(const Drive& drive,
 template <int D>
 class PositionVariance {
  public:
-  PositionVariance(const Drive& drive, double inflation)
+  PositionVariance(const Drive& drive, double inflation,
+                   const MeanNodes& mean_nodes)
       : drive_(drive),
         graph_(drive.graph()),
-        variance_scale_(inflation * inflation) {}
+        variance_scale_(inflation * inflation),
+        mean_nodes_(mean_nodes) {}
 
   // Nothing where the formula does not hold.
   std::optional<double> ReducedBy(
@@ -126,6 +143,7 @@ class PositionVariance {
     StateMatrix<D> weight = StateMatrix<D>::Zero();
   };
   using Row = Eigen::Matrix<double, 1, D>;
+  using Entries = std::array<double, D>;
   // The sums over ends that X_i is made of for nodes between two ends, with x
   // and y counted from the origin. Of those at or behind the node, with W the
   // weights and l the levers J p_end: the sums of W and of l^T W; of those
@@ -259,41 +277,105 @@ class PositionVariance {
   }
 
   std::optional<double> Mean(const NodeRange& nodes) const {
-    const NodeIndex size = graph_.size();
-    const NodeIndex taken = std::min(kMeanNodes, size);
+    const std::vector<NodeIndex>& taken = mean_nodes_.indices;
+    const auto place = [&taken](auto found) {
+      return static_cast<std::size_t>(found - taken.begin());
+    };
+    std::size_t k =
+        place(std::lower_bound(taken.begin(), taken.end(), nodes.first));
+    const std::size_t last =
+        place(std::lower_bound(taken.begin(), taken.end(), nodes.last));
     double sum = 0.0;
-    std::size_t first = 0;
-    for (NodeIndex k = 0; k < taken; ++k) {
-      const NodeIndex i = ((2 * k + 1) * size) / (2 * taken);
-      if (i < nodes.first || i >= nodes.last) continue;
-      while (first < 2 * count_ && ends_[order_[first]].end.index < i) ++first;
-      sum += ReductionAt(i, sums_[first]);
+    for (std::size_t first = 0; k < last; ++first) {
+      std::size_t end = last;
+      if (first < 2 * count_) {
+        end = std::min(last,
+                       place(std::upper_bound(taken.begin(), taken.end(),
+                                              ends_[order_[first]].end.index)));
+      }
+      if (end <= k) continue;
+      sum = AddReductions(k, end, sums_[first], sum);
+      k = end;
     }
     if (!std::isfinite(sum)) return std::nullopt;
-    return sum / static_cast<double>(taken);
+    return sum / static_cast<double>(taken.size());
   }
 
-  double ReductionAt(NodeIndex i, const EndSums& sums) const {
-    const Pose pose = graph_.pose(i);
-    const double x = pose.x - origin_.x;
-    const double y = pose.y - origin_.y;
-    const StateMatrix<D> s =
-        variance_scale_ * ToMatrix<D>(graph_.covariance(i));
-    const Row lever =
-        sums.behind_lever - (x * sums.behind.row(1) - y * sums.behind.row(0));
-    const Row of_x = s.row(0) * sums.behind + s(0, D - 1) * lever +
-                     sums.before_x - y * sums.before_heading;
-    const Row of_y = s.row(1) * sums.behind + s(1, D - 1) * lever +
-                     sums.before_y + x * sums.before_heading;
-    const double reduction =
-        (of_x * information_).dot(of_x) + (of_y * information_).dot(of_y);
+  // Adds g_i of the nodes [begin, end) of those that the mean is taken over,
+  // before which the same ends lie.
+  double AddReductions(std::size_t begin, std::size_t end, const EndSums& sums,
+                       double sum) const {
+    std::array<double, MeanNodes::kMost> reductions;
+    for (std::size_t k = begin; k < end; ++k) {
+      reductions[k - begin] = ReductionAt(k, sums);
+    }
+    for (std::size_t k = begin; k < end; ++k) sum += reductions[k - begin];
+    return sum;
+  }
+
+  // The product of a row and column c of a matrix. This and SquareOf() add in
+  // the order in which Eigen's products of such rows do, so that values are the
+  // same to the last bit as before there were columns.
+  static double Product(const Entries& row, const StateMatrix<D>& matrix,
+                        int c) {
+    if constexpr (D == 3) {
+      return row[0] * matrix(0, c) +
+             (row[1] * matrix(1, c) + row[2] * matrix(2, c));
+    } else {
+      return (row[0] * matrix(0, c) + row[1] * matrix(1, c)) +
+             (row[2] * matrix(2, c) + row[3] * matrix(3, c));
+    }
+  }
+  // v M v^T, with M the information.
+  double SquareOf(const Entries& v) const {
+    const auto term = [&](int r, int c) {
+      return v[static_cast<std::size_t>(r)] * information_(r, c);
+    };
+    if constexpr (D == 3) {
+      const auto part = [&](int c) {
+        return (term(0, c) + term(1, c) + term(2, c)) *
+               v[static_cast<std::size_t>(c)];
+      };
+      return part(0) + part(1) + part(2);
+    } else {
+      const auto part = [&](int c) {
+        return ((term(0, c) + term(2, c)) + (term(1, c) + term(3, c))) *
+               v[static_cast<std::size_t>(c)];
+      };
+      return (part(0) + part(2)) + (part(1) + part(3));
+    }
+  }
+
+  double ReductionAt(std::size_t k, const EndSums& sums) const {
+    const double x = mean_nodes_.x[k] - origin_.x;
+    const double y = mean_nodes_.y[k] - origin_.y;
+    Entries s_x;
+    Entries s_y;
+    for (std::size_t c = 0; c < D; ++c) {
+      s_x[c] = mean_nodes_.of_x[c][k];
+      s_y[c] = mean_nodes_.of_y[c][k];
+    }
+    Entries of_x;
+    Entries of_y;
+    for (int c = 0; c < D; ++c) {
+      const double lever = sums.behind_lever(c) -
+                           (x * sums.behind(1, c) - y * sums.behind(0, c));
+      of_x[static_cast<std::size_t>(c)] =
+          Product(s_x, sums.behind, c) + s_x[D - 1] * lever + sums.before_x(c) -
+          y * sums.before_heading(c);
+      of_y[static_cast<std::size_t>(c)] =
+          Product(s_y, sums.behind, c) + s_y[D - 1] * lever + sums.before_y(c) +
+          x * sums.before_heading(c);
+    }
+    const double reduction = SquareOf(of_x) + SquareOf(of_y);
     // A node whose covariance is none of the chain's loses no more than it has.
-    return std::min(reduction, s(0, 0) + s(1, 1));
+    return std::min(reduction, s_x[0] + s_y[1]);
   }
 
   const Drive& drive_;
   const PoseGraph& graph_;
   const double variance_scale_;
+  const MeanNodes& mean_nodes_;
   std::array<ShownPair<D>, kMostPairs> pairs_;
   std::size_t count_ = 0;
   // Both ends of each pair, and their order along the path.
@@ -306,13 +388,32 @@ class PositionVariance {
 };
 
 template <int D>
-double ReductionIn(const Drive& drive, double inflation, NodeIndex query,
-                   NodeIndex matched) {
-  const std::vector<const ConfirmedLoop*> closures =
-      NearestClosures(drive, query);
+void ReadNodes(const PoseGraph& graph, double inflation, MeanNodes* nodes) {
+  const double variance_scale = inflation * inflation;
+  const NodeIndex size = graph.size();
+  const NodeIndex taken = std::min(MeanNodes::kMost, size);
+  for (NodeIndex k = 0; k < taken; ++k) {
+    const NodeIndex i = ((2 * k + 1) * size) / (2 * taken);
+    const auto at = static_cast<std::size_t>(k);
+    nodes->indices.push_back(i);
+    const Pose pose = graph.pose(i);
+    nodes->x[at] = pose.x;
+    nodes->y[at] = pose.y;
+    const StateMatrix<D> s = variance_scale * ToMatrix<D>(graph.covariance(i));
+    for (int c = 0; c < D; ++c) {
+      nodes->of_x[static_cast<std::size_t>(c)][at] = s(0, c);
+      nodes->of_y[static_cast<std::size_t>(c)][at] = s(1, c);
+    }
+  }
+}
+
+template <int D>
+double ReductionIn(const Drive& drive, double inflation, const MeanNodes& nodes,
+                   const std::vector<const ConfirmedLoop*>& closures,
+                   NodeIndex query, NodeIndex matched) {
   for (const bool measured : {true, false}) {
     if (const auto reduction =
-            PositionVariance<D>(drive, inflation)
+            PositionVariance<D>(drive, inflation, nodes)
                 .ReducedBy(query, matched, closures, measured)) {
       return std::max(0.0, *reduction);
     }
@@ -322,17 +423,32 @@ double ReductionIn(const Drive& drive, double inflation, NodeIndex query,
 
 }  // namespace
 
-double VarianceReduction(const Drive& drive, NodeIndex query,
-                         NodeIndex matched) {
-  const SimilarityModel model = drive.SimilarityOf(drive.settings().search);
-  const Recordings& recordings = drive.recordings();
+VarianceReductions::VarianceReductions(const Drive& drive) : drive_(drive) {}
+
+VarianceReductions::~VarianceReductions() = default;
+
+double VarianceReductions::Of(NodeIndex query, NodeIndex matched) {
+  const SimilarityModel model = drive_.SimilarityOf(drive_.settings().search);
+  const Recordings& recordings = drive_.recordings();
   if (!model.correlation.noise().closures_show_drift ||
       recordings.Of(query) != recordings.Of(matched)) {
     return 0.0;
   }
-  return model.state_space == StateSpace::kPlanar
-             ? ReductionIn<3>(drive, model.inflation, query, matched)
-             : ReductionIn<4>(drive, model.inflation, query, matched);
+  const bool is_planar = model.state_space == StateSpace::kPlanar;
+  if (mean_nodes_ == nullptr) {
+    mean_nodes_ = std::make_unique<MeanNodes>();
+    is_planar
+        ? ReadNodes<3>(drive_.graph(), model.inflation, mean_nodes_.get())
+        : ReadNodes<4>(drive_.graph(), model.inflation, mean_nodes_.get());
+  }
+  if (nearest_to_ != query) {
+    nearest_ = NearestClosures(drive_, query);
+    nearest_to_ = query;
+  }
+  return is_planar ? ReductionIn<3>(drive_, model.inflation, *mean_nodes_,
+                                    nearest_, query, matched)
+                   : ReductionIn<4>(drive_, model.inflation, *mean_nodes_,
+                                    nearest_, query, matched);
 }
 
 }  // namespace revisit::core

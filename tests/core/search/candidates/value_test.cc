@@ -101,20 +101,42 @@ void ExpectWhatAllErrorsLose(std::mt19937_64& random) {
               oracle::WideDiagonal(5.0, 0.15, D));
   const auto wanted =
       static_cast<double>(known - errors.MeanPositionVariance());
-  EXPECT_NEAR(VarianceReduction(drive, query, matched), wanted,
+  EXPECT_NEAR(VarianceReductions(drive).Of(query, matched), wanted,
               1e-8 * static_cast<double>(known))
       << query << " " << matched << " of " << graph.size() << ", "
       << drive.confirmed().size() << " closures";
 }
 
-TEST(VarianceReductionTest, IsWhatTheErrorsOfAllNodesLoseInThePlane) {
+TEST(VarianceReductionsTest, IsWhatTheErrorsOfAllNodesLoseInThePlane) {
   std::mt19937_64 random = SeededRandom();
   for (int trial = 0; trial < 300; ++trial) ExpectWhatAllErrorsLose<3>(random);
 }
 
-TEST(VarianceReductionTest, IsWhatTheErrorsOfAllNodesLoseInSpace) {
+TEST(VarianceReductionsTest, IsWhatTheErrorsOfAllNodesLoseInSpace) {
   std::mt19937_64 random = SeededRandom();
   for (int trial = 0; trial < 200; ++trial) ExpectWhatAllErrorsLose<4>(random);
+}
+
+TEST(VarianceReductionsTest, AreTheSameHoweverManyPairsWereAskedAboutBefore) {
+  std::mt19937_64 random = SeededRandom();
+  for (int trial = 0; trial < 20; ++trial) {
+    DriveSettings settings;
+    settings.state_space =
+        trial % 2 == 0 ? StateSpace::kPlanar : StateSpace::kSpatial;
+    Drive drive(settings);
+    drive.Append(WanderingSamples<4>(random, UniformInt(random, 5, 400)), 1);
+    CloseAnything(random, 6, &drive);
+    const auto last = static_cast<int>(drive.graph().size()) - 1;
+    VarianceReductions reductions(drive);
+    NodeIndex query = 0;
+    for (int k = 0; k < 40; ++k) {
+      if (k % 3 == 0) query = UniformInt(random, 0, last);
+      const NodeIndex matched = UniformInt(random, 0, last);
+      EXPECT_EQ(reductions.Of(query, matched),
+                VarianceReductions(drive).Of(query, matched))
+          << query << " " << matched;
+    }
+  }
 }
 
 // A ring of some 1150 m, driven three times by a poor odometer.
@@ -139,7 +161,7 @@ struct Laps {
                     StateSpace::kPlanar);
   }
   double Value(NodeIndex query, NodeIndex matched) const {
-    return VarianceReduction(drive, query, matched);
+    return VarianceReductions(drive).Of(query, matched);
   }
   void Confirm(NodeIndex query, NodeIndex matched) {
     drive.AddLoopClosure(PoseAt(drive.graph(), query),
@@ -149,7 +171,7 @@ struct Laps {
   Drive drive;
 };
 
-TEST(VarianceReductionTest, LoopsBackToTheStartAreWorthMoreThanRecentOnes) {
+TEST(VarianceReductionsTest, LoopsBackToTheStartAreWorthMoreThanRecentOnes) {
   const Laps laps;
   const NodeIndex query = laps.drive.graph().size() - 1;
   const NodeIndex recent = laps.LapBefore(query);
@@ -159,7 +181,7 @@ TEST(VarianceReductionTest, LoopsBackToTheStartAreWorthMoreThanRecentOnes) {
   EXPECT_GT(laps.Value(query, first), 1.5 * laps.Value(query, recent));
 }
 
-TEST(VarianceReductionTest, PlacesThatWereJustTiedAreWorthNextToNothing) {
+TEST(VarianceReductionsTest, PlacesThatWereJustTiedAreWorthNextToNothing) {
   Laps laps;
   const NodeIndex query = 1000;
   const NodeIndex matched = laps.LapBefore(query);
@@ -174,7 +196,7 @@ TEST(VarianceReductionTest, PlacesThatWereJustTiedAreWorthNextToNothing) {
   EXPECT_GE(tied, 0.0);
 }
 
-TEST(VarianceReductionTest, OfALongDriveTheMeanOverSomeNodesIsThatOverAll) {
+TEST(VarianceReductionsTest, OfALongDriveTheMeanOverSomeNodesIsThatOverAll) {
   const Laps laps;
   const PoseGraph& graph = laps.drive.graph();
   ASSERT_GT(graph.size(), 4 * 256);
@@ -196,29 +218,29 @@ TEST(VarianceReductionTest, OfALongDriveTheMeanOverSomeNodesIsThatOverAll) {
   EXPECT_NEAR(laps.Value(query, matched), all, 0.01 * all);
 }
 
-TEST(VarianceReductionTest, IsNothingWhereClosuresShowNoDrift) {
+TEST(VarianceReductionsTest, IsNothingWhereClosuresShowNoDrift) {
   for (const CorrelationModel model :
        {CorrelationModel::kIndependent, CorrelationModel::kCorrelatedFixes}) {
     DriveSettings settings;
     settings.search.correlation_model = model;
     Drive drive(settings);
     drive.Append(WithDeviations(Ring(1300.0), 3.0, 0.05), 1);
-    EXPECT_EQ(VarianceReduction(drive, 600, 25), 0.0);
+    EXPECT_EQ(VarianceReductions(drive).Of(600, 25), 0.0);
   }
 }
 
-TEST(VarianceReductionTest, IsNothingBetweenTwoRecordings) {
+TEST(VarianceReductionsTest, IsNothingBetweenTwoRecordings) {
   std::vector<PoseSample> samples =
       oracle::WithCovariances(Ring(1300.0), oracle::Noise{});
   samples[400].recording_start = std::make_shared<const RecordingStart>();
   Drive drive(DriveSettings{});
   drive.Append(samples, 1);
   ASSERT_EQ(drive.recordings().size(), 2u);
-  EXPECT_EQ(VarianceReduction(drive, 600, 25), 0.0);
-  EXPECT_GT(VarianceReduction(drive, 600, 250), 0.0);
+  EXPECT_EQ(VarianceReductions(drive).Of(600, 25), 0.0);
+  EXPECT_GT(VarianceReductions(drive).Of(600, 250), 0.0);
 }
 
-TEST(VarianceReductionTest, IsANumberWhateverIsClaimed) {
+TEST(VarianceReductionsTest, IsANumberWhateverIsClaimed) {
   std::mt19937_64 random = SeededRandom();
   for (int trial = 0; trial < 300; ++trial) {
     DriveSettings settings;
@@ -239,8 +261,8 @@ TEST(VarianceReductionTest, IsANumberWhateverIsClaimed) {
     CloseAnything(random, 3, &drive);
     const auto last = static_cast<int>(drive.graph().size()) - 1;
     for (int k = 0; k < 20; ++k) {
-      const double value = VarianceReduction(drive, UniformInt(random, 0, last),
-                                             UniformInt(random, 0, last));
+      const double value = VarianceReductions(drive).Of(
+          UniformInt(random, 0, last), UniformInt(random, 0, last));
       EXPECT_TRUE(std::isfinite(value)) << trial;
       EXPECT_GE(value, 0.0) << trial;
     }
