@@ -12,6 +12,8 @@ constexpr std::chrono::seconds kTryAgainAfter{1};
 
 void CheckSearch::Restart() {
   RestartTurns();
+  // The vehicle's own history needs no scope, so it is ready for good.
+  if (scope_ == nullptr && ready_for_ == std::string()) return;
   ready_for_.reset();
   scope_.reset();
 }

@@ -118,12 +118,17 @@ void StoredChecks::GoOn() {
 void StoredChecks::TakeTurn() {
   searching_ = false;
   if (!changes_.MayWork() || !Stores()) return;
+  const auto end = std::chrono::steady_clock::now() + policy_.turn;
+  while (SearchOn() && std::chrono::steady_clock::now() < end &&
+         !queue_->IsWanted()) {
+  }
+  Consider();
+}
+
+bool StoredChecks::SearchOn() {
   const std::optional<core::DueCheck> due =
       vehicle_->loaded->NextCheck(made_to_);
-  if (!due || !search_.is_ready()) {
-    Consider();
-    return;
-  }
+  if (!due || made_.size() >= kMostMade || !search_.is_ready()) return false;
   if (due->sequence != due_.sequence || due->node != due_.node ||
       series_ != vehicle_->loaded.series()) {
     due_ = *due;
@@ -132,7 +137,7 @@ void StoredChecks::TakeTurn() {
   }
   const auto found = search_.TakeTurn(due_.node);
   if (found) Take(*found);
-  Consider();
+  return true;
 }
 
 void StoredChecks::Take(const core::CandidateSet& set) {
@@ -205,6 +210,9 @@ void StoredChecks::Write() {
   if (after == write.before && write.checks.empty()) {
     writing_ = false;
     RunSettled();
+    // After a write of unknown fate the store may have had all, so that less is
+    // owed than was said.
+    Consider();
     return;
   }
   in_flight_->Add();
@@ -229,8 +237,7 @@ ChecksWrite StoredChecks::MakeWrite() {
       StoredCandidate& candidate = check.candidates[i];
       candidate.update_time_ns = now_ns;
       changes_.Decide(made.sequence, &candidate);
-      candidate.value =
-          changes_.ValueOf(made.sequence, candidate, &reductions);
+      candidate.value = changes_.ValueOf(made.sequence, candidate, &reductions);
       changes_.Tell(made.sequence, &check, i, &write);
     }
     CheckRecord record;

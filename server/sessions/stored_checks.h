@@ -6,9 +6,10 @@
 // they were made (core::Drive::NextCheck()), so nothing is kept of them, and
 // whoever loads the vehicle goes on where another server ended. Each is
 // searched with the vehicle's own settings, in the order of poses, in turns of
-// the searches' threads; a turn that holds up other work of the vehicle gives
-// way, a few times. What was found is written behind the search, several checks
-// at a time where writes take longer than searches.
+// the searches' threads, each of which makes as many checks as fit in; a turn
+// that holds up other work of the vehicle gives way, a few times. What was
+// found is written behind the turn, that of several turns at a time where
+// writes take longer.
 #ifndef REVISIT_SERVER_SESSIONS_STORED_CHECKS_H_
 #define REVISIT_SERVER_SESSIONS_STORED_CHECKS_H_
 
@@ -62,6 +63,10 @@ struct StoredChecksPolicy {
   // longer.
   std::chrono::steady_clock::duration tidy_period = std::chrono::hours(1);
   std::uint64_t most_checks = kMostChecks;
+  // How long searches of one vehicle follow each other before those of others
+  // get their turn: several small ones, so that what a turn and a write take
+  // beside them is shared.
+  std::chrono::steady_clock::duration turn = std::chrono::milliseconds(10);
   // Second searches that a change allows (second_searches.h).
   int searches_per_change = kSearchesPerChange;
 };
@@ -159,6 +164,9 @@ class StoredChecks {
   void NoteDebt(std::int64_t debt);
   void NoteLanded();
   void TakeTurn();
+  // Goes on with the search of the next check. False if there is nothing to be
+  // searched in this turn of the lane.
+  bool SearchOn();
   void Take(const core::CandidateSet& set);
   // Has what was made written, if there is anything to write, or a check that
   // none is owed.

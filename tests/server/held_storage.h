@@ -2,6 +2,7 @@
 #ifndef REVISIT_TESTS_SERVER_HELD_STORAGE_H_
 #define REVISIT_TESTS_SERVER_HELD_STORAGE_H_
 
+#include <atomic>
 #include <condition_variable>
 #include <cstddef>
 #include <cstdint>
@@ -39,6 +40,9 @@ class HeldStorage : public Storage {
     const std::lock_guard<std::mutex> guard(mutex_);
     return held_.size();
   }
+
+  // Counts the calls of PutChecks().
+  std::size_t check_writes() const { return check_writes_; }
 
   // Passes on the one that waits longest.
   void ReleaseOne() { TakeOne().pass_on(); }
@@ -137,6 +141,7 @@ class HeldStorage : public Storage {
     });
   }
   void PutChecks(VehicleKey key, ChecksWrite checks, Done done) override {
+    ++check_writes_;
     if (const auto fate = TakeFate()) {
       if (fate->is_written) {
         storage_->PutChecks(key, checks, [](const absl::Status&) {});
@@ -327,6 +332,7 @@ class HeldStorage : public Storage {
   }
 
   Storage* const storage_;
+  std::atomic<std::size_t> check_writes_{0};
   std::mutex mutex_;
   std::condition_variable changed_;
   bool hold_ = false;

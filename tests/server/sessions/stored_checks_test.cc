@@ -105,6 +105,15 @@ TEST_F(StoredChecksTest, AcknowledgesPosesWhileChecksWaitForTheStore) {
   ExpectAllStoredAndToldOnce();
 }
 
+TEST_F(StoredChecksTest, WritesTogetherWhatOneTurnMakes) {
+  policy_.turn = std::chrono::hours(1);
+  Create(StoringConfig());
+  ASSERT_THAT(AppendNow(*session_, SquareBatch(1, kPoses)), IsOk());
+  ASSERT_TRUE(IsPaid());
+  ExpectAllStoredAndToldOnce();
+  EXPECT_LT(2 * storage_.check_writes(), Checks().size());
+}
+
 TEST_F(StoredChecksTest, GoesOnWhereItEndedHoweverOftenItIsCutOff) {
   std::mt19937_64 random = SeededRandom();
   Create(StoringConfig());
