@@ -27,7 +27,7 @@ struct Options {
   // How streams send poses: "messages" or "columns".
   std::string form = "messages";
   // So many vehicles, each with a stream, have their checks stored, and so many
-  // watches look at them. The rate is that of all poses together.
+  // watches look at them, or none. The rate is that of all poses together.
   int streams = 1000;
   int watchers = 1000;
   double poses_per_second = 40'000.0;

@@ -32,6 +32,8 @@ constexpr int kPosesBefore = 3 * kLapPoses / 2;
 // The server looks a little more often than this for freed memory that is worth
 // giving back.
 constexpr double kTrimSeconds = 2.5;
+// Between looks at what is owed: each takes some of what pays it.
+constexpr double kLookSeconds = 0.25;
 // Checks that are owed for longer than this are not waited for.
 constexpr double kMostSecondsOwed = 600.0;
 
@@ -56,7 +58,7 @@ double WaitUntilChecked(const Server& server) {
   const Clock::time_point start = Clock::now();
   while (server.Metric("revisit_check_debt") > 0.0) {
     if (SecondsSince(start) > kMostSecondsOwed) Die("checks are still owed");
-    SleepFor(0.05);
+    SleepFor(kLookSeconds);
   }
   return SecondsSince(start);
 }
@@ -181,12 +183,16 @@ json MeasureWatched(const std::string& name, const Options& options) {
 }  // namespace
 
 json WatchRound(const Options& options, int round) {
-  if (options.streams < 1 || options.watchers < 1 ||
+  if (options.streams < 1 || options.watchers < 0 ||
       options.poses_per_second <= 0.0) {
-    Die("--streams, --watchers and --poses-per-second have to be positive");
+    Die("--streams and --poses-per-second have to be positive, and --watchers "
+        "not negative");
   }
-  std::vector<std::string> names = {"alone", "unwanted", "own"};
-  std::rotate(names.begin(), names.begin() + round % 3, names.end());
+  std::vector<std::string> names = {"alone"};
+  if (options.watchers > 0) {
+    names = {"alone", "unwanted", "own"};
+    std::rotate(names.begin(), names.begin() + round % 3, names.end());
+  }
   json result = {{"streams", options.streams},
                  {"watchers", options.watchers},
                  {"wanted_poses_per_second", options.poses_per_second}};
