@@ -6,6 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "core/base/number_text.h"
 #include "core/geometry/heading.h"
+#include "core/geometry/positive_definite.h"
 #include "core/geometry/state_matrix.h"
 
 namespace revisit::core {
@@ -84,6 +85,25 @@ std::optional<Defect> FindCovarianceDefect(const Covariance& covariance) {
   return std::nullopt;
 }
 
+// Whether a covariance is so far from having a defect that no rounding could
+// make it one. False says nothing.
+template <int D>
+bool IsClearlySound(const Covariance& covariance) {
+  constexpr double kLeastVariance = 1e-60;
+  constexpr double kMostVariance =
+      0.99 * kMaxStandardDeviation * kMaxStandardDeviation;
+  for (int i = 0; i < D; ++i) {
+    const double variance = covariance(StateIndex<D>(i), StateIndex<D>(i));
+    if (!(variance > kLeastVariance && variance < kMostVariance)) return false;
+  }
+  return IsClearlyPositiveDefinite<D>(ToMatrix<D>(covariance));
+}
+
+template <int D>
+bool IsSound(const Covariance& covariance) {
+  return IsClearlySound<D>(covariance) || !FindCovarianceDefect<D>(covariance);
+}
+
 template <int D>
 std::optional<Defect> FindTransitionDefect(const ErrorTransition& transition) {
   for (int r = 0; r < D; ++r) {
@@ -136,6 +156,11 @@ std::optional<Defect> FindDefect(const PoseSample& sample, StateSpace space) {
   if (!sample.transition) return std::nullopt;
   return planar ? FindTransitionDefect<3>(*sample.transition)
                 : FindTransitionDefect<4>(*sample.transition);
+}
+
+bool IsSound(const Covariance& covariance, StateSpace space) {
+  return space == StateSpace::kPlanar ? IsSound<3>(covariance)
+                                      : IsSound<4>(covariance);
 }
 
 std::optional<Defect> FindAsymmetry(const double* matrix, int size) {

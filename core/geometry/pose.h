@@ -117,6 +117,9 @@ inline constexpr double kPivotTolerance = 1e-12;
 // be finite and in range, and the covariance positive definite.
 std::optional<Defect> FindDefect(const PoseSample& sample, StateSpace space);
 
+// Whether FindDefect() finds none in this covariance; faster.
+bool IsSound(const Covariance& covariance, StateSpace space);
+
 // The defect of a size x size row-major matrix that is not finite or not
 // symmetric, or nothing.
 std::optional<Defect> FindAsymmetry(const double* matrix, int size);

@@ -2,16 +2,19 @@
 
 #include <algorithm>
 #include <string>
+#include <utility>
 
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
 #include "absl/strings/strip.h"
-#include "server/conversion/pose_columns.h"
+#include "server/fields/column_decoder.h"
 #include "server/fields/enums.h"
+#include "server/fields/pose_columns.h"
 #include "server/fields/pose_decoder.h"
 #include "server/fields/pose_fields.h"
 #include "server/records/batch_records.h"
+#include "server/records/stored_columns.h"
 
 namespace revisit::server {
 
@@ -35,24 +38,24 @@ absl::Status CheckCount(int count, int max_poses, const FieldPath& path) {
 }
 
 // The poses lie below `path` as a field `poses`.
-template <typename FieldsOf>
-absl::StatusOr<DecodedBatch> Decode(std::size_t count, FieldsOf fields_of,
-                                    const FieldPath& path,
-                                    const VehicleConfig& config,
-                                    Violations* violations) {
-  PoseDecoder decoder(config, PoseSource::kAppend, violations);
+absl::StatusOr<DecodedBatch> DecodeMessages(const Poses& poses,
+                                            const FieldPath& path,
+                                            const VehicleConfig& config) {
+  Violations violations;
+  PoseDecoder decoder(config, PoseSource::kAppend, &violations);
+  const auto count = static_cast<std::size_t>(poses.size());
   DecodedBatch batch;
   BatchEncoder encoder(count);
   batch.samples =
-      DecodePoses(count, fields_of, path, &decoder, violations,
+      DecodePoses(count, FieldsOfEach(poses), path, &decoder, &violations,
                   [&](const PoseFields& pose) { encoder.Measure(pose); });
-  if (violations->count() > 0) return violations->ToStatus();
-  encoder.Write(fields_of, &batch);
+  if (violations.count() > 0) return violations.ToStatus();
+  batch.payload = encoder.Write(FieldsOfEach(poses));
   batch.origin = decoder.origin();
   return batch;
 }
 
-// The column of a field that Decode() calls "poses[3].local.x_meters".
+// The column of a field that DecodeColumns() calls "poses[3].local.x_meters".
 std::string NameIn(const PoseColumns& columns, const std::string& name) {
   absl::string_view rest = name;
   std::size_t index = 0;
@@ -62,6 +65,27 @@ std::string NameIn(const PoseColumns& columns, const std::string& name) {
     return name;
   }
   return columns.ColumnOf(index, name.substr(std::min(end + 2, name.size())));
+}
+
+// `path` is that of the columns.
+absl::StatusOr<DecodedBatch> DecodeColumnsOf(const v1::PoseColumns& message,
+                                             const FieldPath& path,
+                                             const VehicleConfig& config) {
+  Violations violations;
+  PoseColumns columns(ColumnFieldsOf(message), path, &violations);
+  if (violations.count() > 0) return violations.ToStatus();
+  PoseDecoder decoder(config, PoseSource::kAppend, &violations);
+  DecodedBatch batch;
+  batch.samples = DecodeColumns(&columns, &decoder, &violations);
+  if (violations.count() > 0) {
+    violations.Rename([&](const std::string& name) {
+      return StrCat(path.ToString(), ".", NameIn(columns, name));
+    });
+    return violations.ToStatus();
+  }
+  batch.payload = EncodeColumns(columns.fields());
+  batch.origin = decoder.origin();
+  return batch;
 }
 
 }  // namespace
@@ -84,9 +108,7 @@ absl::StatusOr<DecodedBatch> DecodeBatch(const SentPoses& sent, int max_poses,
         !status.ok()) {
       return status;
     }
-    Violations violations;
-    return Decode(static_cast<std::size_t>(sent.poses->size()),
-                  FieldsOfEach(*sent.poses), path, config, &violations);
+    return DecodeMessages(*sent.poses, path, config);
   }
   const FieldPath in_columns = path.Field("columns");
   if (!sent.poses->empty()) {
@@ -98,17 +120,7 @@ absl::StatusOr<DecodedBatch> DecodeBatch(const SentPoses& sent, int max_poses,
       !status.ok()) {
     return status;
   }
-  Violations violations;
-  PoseColumns columns(*sent.columns, in_columns, &violations);
-  if (violations.count() > 0) return violations.ToStatus();
-  absl::StatusOr<DecodedBatch> batch = Decode(
-      columns.size(), [&](std::size_t i) { return columns.At(i); }, FieldPath(),
-      config, &violations);
-  if (batch.ok()) return batch;
-  violations.Rename([&](const std::string& name) {
-    return StrCat(in_columns.ToString(), ".", NameIn(columns, name));
-  });
-  return violations.ToStatus();
+  return DecodeColumnsOf(*sent.columns, in_columns, config);
 }
 
 BatchDecoder DecoderOf(const SentPoses& sent, int max_poses,

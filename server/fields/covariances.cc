@@ -1,6 +1,7 @@
 #include "server/fields/covariances.h"
 
 #include <array>
+#include <cmath>
 #include <cstddef>
 
 #include "absl/strings/str_cat.h"
@@ -11,6 +12,12 @@ namespace {
 
 using Values = absl::Span<const double>;
 
+bool AreFinite(Values values) {
+  bool finite = true;
+  for (const double value : values) finite &= std::isfinite(value);
+  return finite;
+}
+
 // Whether there are as many numbers as needed, all finite.
 bool CheckValues(Values values, std::size_t needed, const char* form,
                  const FieldPath& path, Violations* violations) {
@@ -20,11 +27,11 @@ bool CheckValues(Values values, std::size_t needed, const char* form,
                                  " has ", needed));
     return false;
   }
-  bool finite = true;
+  if (AreFinite(values)) return true;
   for (std::size_t i = 0; i < needed; ++i) {
-    finite &= CheckFinite(values[i], path.At("values", i), violations);
+    CheckFinite(values[i], path.At("values", i), violations);
   }
-  return finite;
+  return false;
 }
 
 void TakePlanar(Values values, core::Covariance* covariance) {

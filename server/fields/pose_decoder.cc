@@ -16,7 +16,6 @@ namespace revisit::server {
 namespace {
 
 constexpr char kQuaternionInvalid[] = "QUATERNION_INVALID";
-constexpr double kMaxNormError = 1e-3;
 
 // REQUIRES: the position is geodetic.
 GeodeticOrigin ToOrigin(const PoseFields& pose) {
@@ -125,8 +124,8 @@ void PoseDecoder::DecodeLocal(const std::array<double, 3>& local,
   position->z = local[2];
 }
 
-std::optional<PoseDecoder::Forward> PoseDecoder::DecodeOrientation(
-    const PoseFields& pose, const FieldPath& path) {
+std::optional<Forward> PoseDecoder::DecodeOrientation(const PoseFields& pose,
+                                                      const FieldPath& path) {
   switch (pose.orientation_kind) {
     case PoseFields::Orientation::kHeading: {
       const double heading = pose.orientation[0];
@@ -148,35 +147,27 @@ std::optional<PoseDecoder::Forward> PoseDecoder::DecodeOrientation(
   return std::nullopt;
 }
 
-std::optional<PoseDecoder::Forward> PoseDecoder::DecodeQuaternion(
-    const std::array<double, 4>& quaternion, const FieldPath& path) {
-  auto [x, y, z, w] = quaternion;
+std::optional<Forward> PoseDecoder::DecodeQuaternion(
+    const Quaternion& quaternion, const FieldPath& path) {
+  const auto [x, y, z, w] = quaternion;
   bool finite = CheckFinite(x, path.Field("x"), violations_);
   finite &= CheckFinite(y, path.Field("y"), violations_);
   finite &= CheckFinite(z, path.Field("z"), violations_);
   finite &= CheckFinite(w, path.Field("w"), violations_);
   if (!finite) return std::nullopt;
-  const double norm = std::hypot(std::hypot(x, y), std::hypot(z, w));
-  if (!(std::abs(norm - 1.0) <= kMaxNormError)) {
+  const double norm = NormOf(quaternion);
+  if (!IsUnit(norm)) {
     violations_->Add(kQuaternionInvalid, path,
                      absl::StrCat("its norm is ", core::NumberText(norm),
                                   "; allowed is 1 to within 0.001"));
     return std::nullopt;
   }
-  x /= norm;
-  y /= norm;
-  z /= norm;
-  w /= norm;
-  Forward forward;
-  forward.axis = {1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z),
-                  2.0 * (x * z - w * y)};
-  if (std::hypot(forward.axis[0], forward.axis[1]) <= kMinHorizontal) {
+  std::optional<Forward> forward = ForwardOf(quaternion, norm);
+  if (!forward) {
     violations_->Add(
         kQuaternionInvalid, path,
         "the forward axis points straight up or down and has no heading");
-    return std::nullopt;
   }
-  forward.heading = std::atan2(forward.axis[1], forward.axis[0]);
   return forward;
 }
 

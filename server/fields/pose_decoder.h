@@ -14,6 +14,7 @@
 #include "server/fields/field_violations.h"
 #include "server/fields/geodetic_frame.h"
 #include "server/fields/pose_fields.h"
+#include "server/fields/pose_orientation.h"
 #include "server/sessions/vehicle_config.h"
 
 namespace revisit::server {
@@ -33,26 +34,23 @@ class PoseDecoder {
   // there is one.
   core::PoseSample Decode(const PoseFields& pose, const FieldPath& path);
 
+  const VehicleConfig& config() const { return config_; }
+  PoseSource source() const { return source_; }
+
   // The origin of a geodetic vehicle: that of the config or, without, that of
   // the first pose that can be decoded.
   std::optional<GeodeticOrigin> origin() const;
 
  private:
-  // The forward axis in the axes of the pose's own position, and its heading.
-  // The axis is set for geodetic poses and quaternions only.
-  struct Forward {
-    double heading = 0.0;
-    std::array<double, 3> axis{};
-  };
-
   void DecodePosition(const PoseFields& pose, const FieldPath& path,
                       core::Pose* position);
   void DecodeLocal(const std::array<double, 3>& local, const FieldPath& path,
                    core::Pose* position);
+  // The axis is set for geodetic poses and quaternions only.
   std::optional<Forward> DecodeOrientation(const PoseFields& pose,
                                            const FieldPath& path);
-  std::optional<Forward> DecodeQuaternion(
-      const std::array<double, 4>& quaternion, const FieldPath& path);
+  std::optional<Forward> DecodeQuaternion(const Quaternion& quaternion,
+                                          const FieldPath& path);
   void DecodeTransition(const PoseFields& pose, const FieldPath& path,
                         core::PoseSample* sample);
   void DecodeRecordingStart(const PoseFields& pose, const FieldPath& path,

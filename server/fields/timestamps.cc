@@ -40,6 +40,11 @@ bool CheckTimestamp(const google::protobuf::Timestamp& timestamp,
   return valid;
 }
 
+bool IsTimestamp(std::int64_t nanoseconds) {
+  return nanoseconds >= kFirstSecond * kNanosPerSecond &&
+         nanoseconds < kEndSecond * kNanosPerSecond;
+}
+
 std::int64_t ToNanoseconds(const google::protobuf::Timestamp& timestamp) {
   return timestamp.seconds() * kNanosPerSecond + timestamp.nanos();
 }

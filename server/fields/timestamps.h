@@ -19,6 +19,9 @@ void EncodeTime(std::int64_t nanoseconds,
 bool CheckTimestamp(const google::protobuf::Timestamp& timestamp,
                     const FieldPath& path, Violations* violations);
 
+// Whether CheckTimestamp() says true of the timestamp of these nanoseconds.
+bool IsTimestamp(std::int64_t nanoseconds);
+
 // REQUIRES: CheckTimestamp() says true.
 std::int64_t ToNanoseconds(const google::protobuf::Timestamp& timestamp);
 

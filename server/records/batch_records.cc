@@ -1,7 +1,5 @@
 #include "server/records/batch_records.h"
 
-#include <xxhash.h>
-
 #include <utility>
 
 #include "server/fields/covariances.h"
@@ -21,6 +19,20 @@ std::optional<core::ErrorTransition> TurnedTransition(
       PoseDecoder(config, PoseSource::kStored, &violations)
           .Decode(PoseFieldsOf(pose), FieldPath());
   return violations.count() == 0 ? sample.transition : std::nullopt;
+}
+
+// The batch, with messages where it has columns.
+absl::StatusOr<stored::PoseBatch> ParseMessages(const std::string& payload) {
+  absl::StatusOr<stored::PoseBatch> batch = ParseBatch(payload);
+  if (!batch.ok() || batch->columns().empty()) return batch;
+  stored::PoseBatch messages;
+  const absl::Status visited =
+      VisitFields(*batch, [&messages](const PoseFields& pose) {
+        SetPose(pose, messages.add_poses());
+        return true;
+      });
+  if (!visited.ok()) return visited;
+  return messages;
 }
 
 // Puts the estimate of `revised` into `stored`; all else of the stored pose
@@ -67,25 +79,15 @@ void BatchEncoder::Measure(const PoseFields& pose) {
   bytes_ += BytesInBatch(stored_.back().size());
 }
 
-std::uint8_t* BatchEncoder::Begin(DecodedBatch* batch) const {
-  batch->fingerprints.reserve(stored_.size());
-  batch->payload.resize(bytes_);
-  return reinterpret_cast<std::uint8_t*>(&batch->payload[0]);
-}
-
 std::uint8_t* BatchEncoder::Add(const StoredPose& stored,
-                                const PoseFields& pose, std::uint8_t* next,
-                                DecodedBatch* batch) {
-  next = BeginPose(stored.size(), next);
-  std::uint8_t* const end = stored.Write(pose, next);
-  batch->fingerprints.push_back(XXH3_64bits(next, stored.size()));
-  return end;
+                                const PoseFields& pose, std::uint8_t* next) {
+  return stored.Write(pose, BeginPose(stored.size(), next));
 }
 
 absl::StatusOr<std::optional<BatchRecord>> ReviseBatch(
     const BatchRecord& stored, const VehicleConfig& config,
     RevisedStarts starts, const RevisedPose& revised) {
-  absl::StatusOr<stored::PoseBatch> batch = ParseBatch(stored.payload);
+  absl::StatusOr<stored::PoseBatch> batch = ParseMessages(stored.payload);
   if (!batch.ok()) return batch.status();
   bool any = false;
   for (stored::Pose& pose : *batch->mutable_poses()) {
@@ -109,10 +111,7 @@ absl::Status VisitPoses(const BatchRecord& stored,
                         const std::function<bool(const PoseFields&)>& visit) {
   const absl::StatusOr<stored::PoseBatch> batch = ParseBatch(stored.payload);
   if (!batch.ok()) return batch.status();
-  for (const stored::Pose& pose : batch->poses()) {
-    if (!visit(PoseFieldsOf(pose))) break;
-  }
-  return absl::OkStatus();
+  return VisitFields(*batch, visit);
 }
 
 }  // namespace revisit::server

@@ -1,5 +1,6 @@
 // Batches of poses as bytes (revisit.stored.PoseBatch), beside what sessions
-// need of them (proto_record_codec.h).
+// need of them (proto_record_codec.h). Poses are stored in the form in which
+// they came: as messages (BatchEncoder) or as columns (stored_columns.h).
 #ifndef REVISIT_SERVER_RECORDS_BATCH_RECORDS_H_
 #define REVISIT_SERVER_RECORDS_BATCH_RECORDS_H_
 
@@ -7,6 +8,7 @@
 #include <cstdint>
 #include <functional>
 #include <optional>
+#include <string>
 #include <vector>
 
 #include "absl/status/status.h"
@@ -29,20 +31,21 @@ class BatchEncoder {
   // Call for each pose of the batch, in order.
   void Measure(const PoseFields& pose);
 
-  // Sets payload and fingerprints of the batch to those of the poses that were
-  // measured: `fields_of(i)` has the fields of one, as DecodePoses() says.
+  // The payload with the poses that were measured: `fields_of(i)` has the
+  // fields of one, as DecodePoses() says.
   template <typename FieldsOf>
-  void Write(FieldsOf fields_of, DecodedBatch* batch) const {
-    std::uint8_t* next = Begin(batch);
+  std::string Write(FieldsOf fields_of) const {
+    std::string payload(bytes_, '\0');
+    auto* next = reinterpret_cast<std::uint8_t*>(&payload[0]);
     for (std::size_t i = 0; i < stored_.size(); ++i) {
-      next = Add(stored_[i], fields_of(i), next, batch);
+      next = Add(stored_[i], fields_of(i), next);
     }
+    return payload;
   }
 
  private:
-  std::uint8_t* Begin(DecodedBatch* batch) const;
   static std::uint8_t* Add(const StoredPose& stored, const PoseFields& pose,
-                           std::uint8_t* next, DecodedBatch* batch);
+                           std::uint8_t* next);
 
   std::vector<StoredPose> stored_;
   std::size_t bytes_ = 0;
@@ -61,7 +64,8 @@ enum class RevisedStarts {
   kFirst,
 };
 
-// The batch with new estimates; nothing if none of its poses is replaced.
+// The batch with new estimates, as messages in any case; nothing if none of its
+// poses is replaced.
 // Stamps stay; so do error transitions where the new pose brings none.
 // REQUIRES: the new poses are valid (PoseDecoder, PoseSource::kRevision).
 absl::StatusOr<std::optional<BatchRecord>> ReviseBatch(

@@ -21,16 +21,17 @@ namespace revisit::server {
 // serialized revisit.stored.PoseBatch, a loop closure's and a rejected
 // candidate's a serialized revisit.stored.PosePairContent
 // (pair_content.h). The fingerprint of a pose is the XXH3-64 of its
-// serialized revisit.stored.Pose.
+// serialized revisit.stored.Pose, in whichever form it is stored.
 class ProtoRecordCodec : public RecordCodec {
  public:
   std::string EncodeVehicle(const VehicleConfig& config) const override;
   absl::StatusOr<VehicleConfig> DecodeVehicle(
       const VehicleRecord& record) const override;
-  absl::StatusOr<DecodedBatch> DecodeBatch(
-      const std::string& payload, const VehicleConfig& config) const override;
   absl::StatusOr<DecodedPoses> DecodePoses(
       const std::string& payload, const VehicleConfig& config) const override;
+  absl::StatusOr<std::vector<std::uint64_t>> Fingerprints(
+      const std::string& payload) const override;
+  absl::StatusOr<std::string> AsMessages(std::string payload) const override;
   std::string EncodeDropped(const core::DroppedStretch& stretch) const override;
   absl::StatusOr<std::optional<core::LoopMeasurement>> DecodeMeasurement(
       const std::string& payload, core::StateSpace space) const override;

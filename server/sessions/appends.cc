@@ -190,6 +190,12 @@ absl::Status Appends::Decode(Pending* append) {
   if (absl::Status status = CheckConsecutive(*decoded); !status.ok()) {
     return status;
   }
+  if (!vehicle_->storage->KeepsColumns()) {
+    absl::StatusOr<std::string> payload =
+        vehicle_->codec->AsMessages(std::move(decoded->payload));
+    if (!payload.ok()) return payload.status();
+    decoded->payload = *std::move(payload);
+  }
   append->first_sequence = decoded->samples.front().sequence;
   append->last_sequence = decoded->samples.back().sequence;
   append->decoded = *std::move(decoded);
@@ -240,23 +246,25 @@ absl::Status Appends::TakeOrigin(const DecodedBatch& batch) {
 absl::Status Appends::CompareWithStored(const DecodedBatch& batch,
                                         std::uint64_t first,
                                         std::uint64_t last) const {
+  const absl::StatusOr<std::vector<std::uint64_t>> sent =
+      vehicle_->codec->Fingerprints(batch.payload);
+  if (!sent.ok()) return sent.status();
   absl::Status result;
   const absl::Status reading = vehicle_->storage->ReadBatches(
       vehicle_->head.key(), first, last, BatchVersion::kAsSent,
       [&](const BatchRecord& record) {
-        const absl::StatusOr<DecodedBatch> stored =
-            vehicle_->DecodeStored(record, vehicle_->head.config());
+        const auto stored = StoredFingerprints(record);
         if (!stored.ok()) {
           result = stored.status();
           return false;
         }
-        if (stored->dropped) return true;
+        if (stored->empty()) return true;
         const std::uint64_t from = std::max(first, record.first_sequence);
         const std::uint64_t to =
             std::min(last, record.first_sequence + record.count - 1);
         for (std::uint64_t sequence = from; sequence <= to; ++sequence) {
-          if (batch.fingerprints[sequence - first] ==
-              stored->fingerprints[sequence - record.first_sequence]) {
+          if ((*sent)[sequence - first] ==
+              (*stored)[sequence - record.first_sequence]) {
             continue;
           }
           result = Error(
@@ -271,6 +279,15 @@ absl::Status Appends::CompareWithStored(const DecodedBatch& batch,
   return reading.ok() ? result : reading;
 }
 
+absl::StatusOr<std::vector<std::uint64_t>> Appends::StoredFingerprints(
+    const BatchRecord& record) const {
+  // It is seen to hold the poses that its row says.
+  const absl::Status sound =
+      vehicle_->DecodeStoredPoses(record, vehicle_->head.config()).status();
+  if (!sound.ok()) return sound;
+  return vehicle_->codec->Fingerprints(record.payload);
+}
+
 absl::Status Appends::KeepFrom(std::size_t first, DecodedBatch* batch) const {
   const std::size_t count = batch->samples.size() - first;
   absl::StatusOr<std::string> payload =
@@ -279,8 +296,6 @@ absl::Status Appends::KeepFrom(std::size_t first, DecodedBatch* batch) const {
   batch->payload = *std::move(payload);
   const auto offset = static_cast<std::ptrdiff_t>(first);
   batch->samples.erase(batch->samples.begin(), batch->samples.begin() + offset);
-  batch->fingerprints.erase(batch->fingerprints.begin(),
-                            batch->fingerprints.begin() + offset);
   return absl::OkStatus();
 }
 

@@ -36,9 +36,6 @@ struct DecodedPoses {
 
 // A batch in core's types, with the bytes that are stored for it.
 struct DecodedBatch : DecodedPoses {
-  // 64-bit hash of each pose's content, exact to the bit: equal hashes are
-  // taken for equal poses.
-  std::vector<std::uint64_t> fingerprints;
   // The bytes that the storage keeps: the poses as they came.
   std::string payload;
   // The origin that the batch was decoded with, if the vehicle is geodetic.
@@ -60,11 +57,17 @@ class RecordCodec {
   virtual absl::StatusOr<VehicleConfig> DecodeVehicle(
       const VehicleRecord& record) const = 0;
   // DATA_LOSS if the payload is not that of a batch.
-  virtual absl::StatusOr<DecodedBatch> DecodeBatch(
-      const std::string& payload, const VehicleConfig& config) const = 0;
-  // The poses of DecodeBatch() alone, which is much faster.
   virtual absl::StatusOr<DecodedPoses> DecodePoses(
       const std::string& payload, const VehicleConfig& config) const = 0;
+  // 64-bit hash of each pose's content, exact to the bit, and the same in
+  // whichever form a batch has it: equal hashes are taken for equal poses. None
+  // of poses that were dropped. DATA_LOSS if the payload is not that of a
+  // batch.
+  virtual absl::StatusOr<std::vector<std::uint64_t>> Fingerprints(
+      const std::string& payload) const = 0;
+  // The same batch for a storage that keeps no columns (storage.h). DATA_LOSS
+  // if the payload is not that of a batch.
+  virtual absl::StatusOr<std::string> AsMessages(std::string payload) const = 0;
   // The payload of a batch whose poses were dropped.
   virtual std::string EncodeDropped(
       const core::DroppedStretch& stretch) const = 0;
@@ -87,8 +90,8 @@ class RecordCodec {
                                                  std::size_t first,
                                                  std::size_t count) const = 0;
   // Divides a batch into batches of up to so many bytes each, in order; a pose
-  // that has more is one of its own. Their payloads, joined, are the batch's.
-  // It is not divided if the payload is not that of a batch.
+  // that has more is one of its own. It is not divided if the payload is not
+  // that of a batch.
   virtual std::vector<BatchPart> DivideBatch(std::string payload,
                                              std::size_t count,
                                              std::size_t most_bytes) const = 0;

@@ -44,18 +44,6 @@ absl::StatusOr<VehicleConfig> VehicleReader::DecodeConfig(
   return config;
 }
 
-absl::StatusOr<DecodedBatch> VehicleReader::DecodeStored(
-    const BatchRecord& batch, const VehicleConfig& with_config) const {
-  absl::StatusOr<DecodedBatch> decoded =
-      codec->DecodeBatch(batch.payload, with_config);
-  if (!decoded.ok()) return decoded;
-  if (decoded->fingerprints.size() != decoded->samples.size() ||
-      !AreOf(batch, *decoded)) {
-    return HoldsOthers(batch);
-  }
-  return decoded;
-}
-
 absl::StatusOr<DecodedPoses> VehicleReader::DecodeStoredPoses(
     const BatchRecord& batch, const VehicleConfig& with_config) const {
   absl::StatusOr<DecodedPoses> poses =

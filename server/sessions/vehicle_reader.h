@@ -32,9 +32,6 @@ struct VehicleReader {
   absl::StatusOr<VehicleConfig> DecodeConfig(const VehicleRecord& record) const;
 
   // Decodes a stored batch. DATA_LOSS if it is not what its row says.
-  absl::StatusOr<DecodedBatch> DecodeStored(
-      const BatchRecord& batch, const VehicleConfig& with_config) const;
-  // The same without what replays do not need.
   absl::StatusOr<DecodedPoses> DecodeStoredPoses(
       const BatchRecord& batch, const VehicleConfig& with_config) const;
 

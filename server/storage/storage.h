@@ -132,6 +132,9 @@ class Storage {
   virtual std::size_t MostBatchBytes() const {
     return std::numeric_limits<std::size_t>::max();
   }
+  // Whether batches may hold columns. They may not where servers of the version
+  // before, which cannot read these, share the store.
+  virtual bool KeepsColumns() const { return true; }
   // Sets the current version of stored batches, all in one step; the records'
   // own revisions are ignored. FAILED_PRECONDITION if one is not stored with
   // this first sequence and count. REQUIRES: the source has the batches ready,

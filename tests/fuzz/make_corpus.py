@@ -146,6 +146,15 @@ def requests():
         name=f"{NAME}/loopClosures/2-1"))
 
 
+def stored_columns(poses):
+    """A stored batch: columns are its field 3, behind their size as a varint."""
+    columns = columns_of(poses).SerializeToString()
+    size = len(columns)
+    assert size < 2**14
+    return (bytes([0x1a]) + (bytes([size]) if size < 128
+                             else bytes([size & 127 | 128, size >> 7])) + columns)
+
+
 def records():
     # Field 1 of PosePairContent.
     measurement = MEASUREMENT.SerializeToString()
@@ -165,6 +174,9 @@ def records():
         for record in (1, 2):
             write("records", f"batch_{name}_{record}", bytes([record, kind]) +
                   api.PoseBatch(poses=poses).SerializeToString())
+            if name != "extreme":
+                write("records", f"columns_{name}_{record}",
+                      bytes([record, kind]) + stored_columns(poses))
 
 
 def names():

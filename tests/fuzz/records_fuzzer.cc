@@ -131,8 +131,10 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data,
     server::EncodePosePair("v", pair, &rejection);
     return 0;
   }
-  const auto decoded = codec.DecodeBatch(payload, config);
+  const auto decoded = codec.DecodePoses(payload, config);
   RequireDataLoss(decoded.status());
+  RequireDataLoss(codec.Fingerprints(payload).status());
+  RequireDataLoss(codec.AsMessages(payload).status());
   server::BatchRecord stored;
   stored.payload = payload;
   std::size_t visited = 0;

@@ -42,14 +42,20 @@ void CheckBatch(const server::SentPoses& poses, const VehicleConfig& config) {
   if (!batch.ok()) return;
   const auto count = static_cast<std::size_t>(poses.count());
   Require(batch->samples.size() == count, "a sample for each pose");
-  Require(batch->fingerprints.size() == count, "a fingerprint for each pose");
   VehicleConfig stored_config = config;
   if (!stored_config.origin) stored_config.origin = batch->origin;
   const server::ProtoRecordCodec codec;
-  const auto stored = codec.DecodeBatch(batch->payload, stored_config);
+  const auto stored = codec.DecodePoses(batch->payload, stored_config);
   Require(stored.ok(), "what is stored can be read");
-  Require(stored->fingerprints == batch->fingerprints,
-          "what is stored is what was sent");
+  Require(stored->samples.size() == count, "what is stored is what was sent");
+  const auto fingerprints = codec.Fingerprints(batch->payload);
+  Require(fingerprints.ok() && fingerprints->size() == count,
+          "a fingerprint for each pose");
+  const auto messages = codec.AsMessages(batch->payload);
+  Require(messages.ok(), "poses of columns can be messages");
+  const auto of_messages = codec.Fingerprints(*messages);
+  Require(of_messages.ok() && *of_messages == *fingerprints,
+          "a pose is the same in both forms");
   const auto slice = codec.SliceBatch(batch->payload, count / 2, count / 2);
   Require(slice.ok(), "a batch can be cut");
   Drive(stored_config, batch->samples);

@@ -372,12 +372,12 @@ def test_store_of_a_newer_format_is_refused_and_left_alone(tmp_path):
         pass
     path = database_of(store)
     database = sqlite3.connect(path)
-    database.execute("PRAGMA user_version = 9")
+    database.execute("PRAGMA user_version = 10")
     database.close()
     content = path.read_bytes()
     result = run("revisitd", "--listen", "127.0.0.1:0", "--store", store)
     assert result.returncode in (73, 74)
-    assert "has format 9" in result.stderr
+    assert "has format 10" in result.stderr
     assert "use a newer server" in result.stderr
     assert path.read_bytes() == content
 
@@ -389,7 +389,8 @@ LACKING = {4: ["snapshots", "snapshot_parts", "deleted_snapshots",
                "deleted_pose_pairs", *CHECKS],
            5: ["deleted_pose_pairs", *CHECKS],
            6: CHECKS,
-           7: GROUPS}
+           7: GROUPS,
+           8: []}
 
 
 @pytest.mark.parametrize("killed", [False, True], ids=["drained", "killed"])
@@ -414,7 +415,7 @@ def test_store_of_an_older_format_is_brought_up_to_date(version, killed, tmp_pat
     with Server(store) as server:
         stub = server.stub()
         assert state_of(stub) == before
-        assert stub.GetServerInfo(api.GetServerInfoRequest()).store_format == 8
+        assert stub.GetServerInfo(api.GetServerInfoRequest()).store_format == 9
         LOOP_CLOSURES.add(stub, VEHICLE, 9, 2)
         server.kill()
     with Server(store) as server:

@@ -1,12 +1,15 @@
 """Poses that come as columns are stored and found as those that come as messages, and
 refused by the place of what is wrong."""
 
+import sqlite3
+
 import grpc
 import pytest
 from google.protobuf import field_mask_pb2, timestamp_pb2
 
 from caller_poses import GEODETIC, NAN, geodetic
 from drive_client import Drive
+from revisit_server import Server, run
 from stubs import api
 from watching import without_times
 from wire import (PoseStream, append, as_bytes, batches, boreas, columns_of, expanded,
@@ -67,6 +70,49 @@ def test_who_sends_poses_again_may_use_the_other_form(stub, new_vehicle):
     columns.x_meters[4] += 0.5
     failure = failure_of(lambda: append_columns(stub, vehicle, columns))
     assert failure.reason == "SEQUENCE_CONTENT_MISMATCH"
+
+
+def test_small_batches_of_both_forms_share_rows_and_are_read_again(tmp_path):
+    store = tmp_path / "store"
+    poses = with_stamps(boreas()[0][:900])
+    with Server(store, "--snapshot-poses", "0") as server:
+        stub = server.stub()
+        vehicle = stub.CreateVehicle(api.CreateVehicleRequest(
+            vehicle_id="car")).vehicle.name
+        with PoseStream(stub, vehicle) as stream:
+            stream.receive_kind("opened")
+            for number, batch in enumerate(batches(poses, size=7)):
+                stream.put(api.StreamPosesRequest(batch=api.PoseBatch(
+                    **({"poses": batch} if number % 3 == 0
+                       else {"columns": columns_of(batch)}))))
+            stream.half_close()
+            stream.receive_all()
+        # Sent again, cut in other places and in the other form.
+        for batch in batches(poses, size=100):
+            append_columns(stub, vehicle, columns_of(batch))
+        stored = as_bytes(list_poses(stub, vehicle))
+        assert stored == as_bytes(poses)
+        candidates, found = find(stub, vehicle)
+        moved = [api.Pose.FromString(each.SerializeToString()) for each in poses[40:60]]
+        for each in moved:
+            each.local.x_meters += 0.125
+            each.ClearField("stamp")
+    rows = sqlite3.connect(next(store.glob("*.sqlite"))).execute(
+        "SELECT max(count) FROM batches").fetchone()
+    assert rows[0] > 7
+    with Server(store, "--snapshot-poses", "0") as server:
+        stub = server.stub()
+        assert as_bytes(list_poses(stub, vehicle)) == stored
+        assert find(stub, vehicle)[1] == found
+        stub.RevisePoses(iter([api.RevisePosesRequest(vehicle=vehicle, poses=moved)]))
+        revised = list_poses(stub, vehicle)
+        assert [each.local.x_meters for each in revised[40:60]] == [
+            each.local.x_meters for each in moved]
+        assert [each.stamp for each in revised] == [each.stamp for each in poses]
+        assert as_bytes(revised[:40] + revised[60:]) == stored[:40] + stored[60:]
+        assert as_bytes(list_poses(
+            stub, vehicle, view=api.POSE_VIEW_AS_SENT)) == stored
+    assert run("revisitd", "verify", "--store", store).returncode == 0
 
 
 def test_geodetic_positions_come_as_columns_too(stub, new_vehicle):

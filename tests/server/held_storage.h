@@ -114,6 +114,7 @@ class HeldStorage : public Storage {
   std::size_t MostBatchBytes() const override {
     return storage_->MostBatchBytes();
   }
+  bool KeepsColumns() const override { return storage_->KeepsColumns(); }
   void ReviseBatches(VehicleKey key, BatchSource batches,
                      std::uint64_t revision, Done done) override {
     Submit(std::move(done), [=](Done then) {

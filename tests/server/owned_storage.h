@@ -162,6 +162,7 @@ class OwnedStorage : public Storage {
     storage_->AppendBatches(key, std::move(batches), std::move(vehicle_payload),
                             std::move(done));
   }
+  bool KeepsColumns() const override { return storage_->KeepsColumns(); }
   void ReviseBatches(VehicleKey key, BatchSource batches,
                      std::uint64_t revision, Done done) override {
     if (Refuses(key, done)) return;

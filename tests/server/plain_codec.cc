@@ -161,7 +161,6 @@ absl::StatusOr<DecodedBatch> PlainCodec::DecodeBatch(
     sample.covariance(2, 2) = variance;
     sample.covariance(3, 3) = 0.01 * variance;
     batch.samples.push_back(sample);
-    batch.fingerprints.push_back(std::hash<std::string>()(line));
   }
   return batch;
 }
@@ -171,6 +170,20 @@ absl::StatusOr<DecodedPoses> PlainCodec::DecodePoses(
   absl::StatusOr<DecodedBatch> batch = DecodeBatch(payload, config);
   if (!batch.ok()) return batch.status();
   return DecodedPoses(*std::move(batch));
+}
+
+absl::StatusOr<std::vector<std::uint64_t>> PlainCodec::Fingerprints(
+    const std::string& payload) const {
+  std::vector<std::uint64_t> fingerprints;
+  if (payload.rfind("dropped ", 0) == 0) return fingerprints;
+  for (const std::string& line : Lines(payload)) {
+    fingerprints.push_back(std::hash<std::string>()(line));
+  }
+  return fingerprints;
+}
+
+absl::StatusOr<std::string> PlainCodec::AsMessages(std::string payload) const {
+  return payload;
 }
 
 std::string PlainCodec::EncodeDropped(

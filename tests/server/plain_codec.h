@@ -27,10 +27,14 @@ class PlainCodec : public RecordCodec {
   std::string EncodeVehicle(const VehicleConfig& config) const override;
   absl::StatusOr<VehicleConfig> DecodeVehicle(
       const VehicleRecord& record) const override;
-  absl::StatusOr<DecodedBatch> DecodeBatch(
-      const std::string& payload, const VehicleConfig& config) const override;
+  // A batch as a caller would send it.
+  absl::StatusOr<DecodedBatch> DecodeBatch(const std::string& payload,
+                                           const VehicleConfig& config) const;
   absl::StatusOr<DecodedPoses> DecodePoses(
       const std::string& payload, const VehicleConfig& config) const override;
+  absl::StatusOr<std::vector<std::uint64_t>> Fingerprints(
+      const std::string& payload) const override;
+  absl::StatusOr<std::string> AsMessages(std::string payload) const override;
   // A line: "dropped", first and last sequence, metres.
   std::string EncodeDropped(const core::DroppedStretch& stretch) const override;
   // The payload of a measured loop closure is a line: x, y, heading, and their

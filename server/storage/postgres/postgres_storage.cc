@@ -130,6 +130,7 @@ class PostgresStorage : public PostgresReader {
   }
 
   std::size_t MostBatchBytes() const override { return kMostInlineBytes; }
+  bool KeepsColumns() const override { return false; }
 
   void ReviseBatches(VehicleKey key, BatchSource batches,
                      std::uint64_t revision, Done done) override {

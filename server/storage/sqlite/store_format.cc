@@ -207,6 +207,9 @@ CREATE TABLE group_links (
 ) WITHOUT ROWID;
 )sql";
 
+// Format 9 has no table beyond format 8: its batches may hold columns, which
+// servers of the formats before would take for batches without poses.
+
 // Lets pages of deleted rows be given back to the file system. Works only for a
 // file without tables.
 constexpr char kVacuum[] = "PRAGMA auto_vacuum = INCREMENTAL";
@@ -270,7 +273,7 @@ absl::Status BringToStoreFormat(SqliteDatabase& database,
   if (format->version < 5) sql += kAddedBy5;
   if (format->version < 6) sql += kAddedBy6;
   if (format->version < 7) sql += kAddedBy7;
-  sql += kAddedBy8;
+  if (format->version < 8) sql += kAddedBy8;
   sql += "PRAGMA user_version = " + std::to_string(kStoreFormat);
   absl::Status status = database.Execute(sql.c_str());
   if (!status.ok()) return status;

@@ -188,6 +188,37 @@ TEST(FindDefectTest, AcceptsEveryRandomCovariance) {
   }
 }
 
+TEST(IsSoundTest, SaysOfEveryCovarianceWhatFindDefectDoes) {
+  std::mt19937_64 random = SeededRandom();
+  const double numbers[] = {kNan, kInfinity, -1.0,   0.0,
+                            1e18, 1.001e18,  1e-310, 1e-70};
+  int sound = 0;
+  constexpr int kTrials = 20000;
+  for (int trial = 0; trial < kTrials; ++trial) {
+    // From far apart to what rounding decides.
+    PoseSample sample;
+    sample.covariance = RandomCovariance(random, 3.0);
+    Covariance& s = sample.covariance;
+    const int r = UniformInt(random, 0, 3);
+    const int c = UniformInt(random, 0, 3);
+    const double share = std::pow(10.0, -Uniform(random, 0.0, 15.0));
+    if (trial % 4 == 0) s(r, c) = numbers[trial / 4 % 8];
+    if (trial % 4 == 1 && r != c) {
+      s(r, c) = (1.0 - share) * std::sqrt(s(r, r) * s(c, c));
+    }
+    if (trial % 4 == 2) {
+      for (double& entry : s.upper) entry *= std::pow(10.0, 20 * (0.5 - share));
+    }
+    for (const StateSpace space : {StateSpace::kPlanar, StateSpace::kSpatial}) {
+      const bool is_sound = !FindDefect(sample, space);
+      sound += is_sound ? 1 : 0;
+      EXPECT_EQ(IsSound(s, space), is_sound) << trial;
+    }
+  }
+  EXPECT_GT(sound, kTrials / 2);
+  EXPECT_LT(sound, 2 * kTrials - kTrials / 4);
+}
+
 TEST(FindAsymmetryTest, AllowsRoundingAndRefusesMore) {
   std::vector<double> matrix(36, 0.0);
   for (std::size_t i = 0; i < 6; ++i) matrix[7 * i] = 4.0;

@@ -1,9 +1,10 @@
 // Poses as columns are the poses that messages are, or refused by the place of
 // what is wrong.
-#include "server/conversion/pose_columns.h"
+#include "server/fields/pose_columns.h"
 
 #include <cmath>
 #include <cstdint>
+#include <cstring>
 #include <functional>
 #include <limits>
 #include <random>
@@ -12,8 +13,11 @@
 
 #include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
+#include "google/protobuf/repeated_field.h"
 #include "gtest/gtest.h"
 #include "server/conversion/poses.h"
+#include "server/fields/pose_fields.h"
+#include "server/records/proto_record_codec.h"
 #include "tests/random.h"
 #include "tests/server/conversion/conversion_testing.h"
 #include "tests/server/error_matchers.h"
@@ -189,6 +193,19 @@ Both RandomPoses(std::mt19937_64& random) {
   return both;
 }
 
+void ExpectSameBits(const core::PoseSample& a, const core::PoseSample& b) {
+  const auto is_same = [](const auto& one, const auto& other) {
+    return std::memcmp(&one, &other, sizeof(one)) == 0;
+  };
+  EXPECT_EQ(a.sequence, b.sequence);
+  EXPECT_EQ(a.stamp_ns, b.stamp_ns);
+  EXPECT_TRUE(is_same(a.pose, b.pose)) << a.pose.x << " " << b.pose.x;
+  EXPECT_TRUE(is_same(a.covariance, b.covariance));
+  ASSERT_EQ(a.transition.has_value(), b.transition.has_value());
+  EXPECT_TRUE(!a.transition || is_same(*a.transition, *b.transition));
+  EXPECT_EQ(a.recording_start != nullptr, b.recording_start != nullptr);
+}
+
 TEST(PoseColumnsTest, AreStoredAsTheMessagesThatSayTheSame) {
   std::mt19937_64 random = SeededRandom();
   for (int trial = 0; trial < 2000; ++trial) {
@@ -200,15 +217,69 @@ TEST(PoseColumnsTest, AreStoredAsTheMessagesThatSayTheSame) {
     ASSERT_TRUE(sent.ParseFromString(both.columns.SerializeAsString()));
     const auto columns = DecodeColumns(sent, both.config);
     ASSERT_THAT(columns, IsOk()) << sent.DebugString();
-    EXPECT_EQ(columns->payload, poses->payload) << sent.DebugString();
-    EXPECT_EQ(columns->fingerprints, poses->fingerprints);
+    const auto messages = ProtoRecordCodec().AsMessages(columns->payload);
+    ASSERT_THAT(messages, IsOk());
+    EXPECT_EQ(*messages, poses->payload) << sent.DebugString();
     ASSERT_EQ(columns->samples.size(), poses->samples.size());
     for (std::size_t i = 0; i < poses->samples.size(); ++i) {
-      EXPECT_EQ(columns->samples[i].sequence, poses->samples[i].sequence);
-      EXPECT_EQ(columns->samples[i].stamp_ns, poses->samples[i].stamp_ns);
+      ExpectSameBits(columns->samples[i], poses->samples[i]);
     }
     EXPECT_EQ(columns->origin.has_value(), poses->origin.has_value());
   }
+}
+
+// The poses of columns, one by one.
+std::vector<v1::Pose> MessagesOf(const v1::PoseColumns& message) {
+  Violations violations;
+  PoseColumns columns(ColumnFieldsOf(message), FieldPath(), &violations);
+  EXPECT_EQ(violations.count(), 0u);
+  std::vector<v1::Pose> poses(columns.size());
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    SetPose(columns.At(i), &poses[i]);
+  }
+  return poses;
+}
+
+TEST(PoseColumnsTest, AreRefusedWhereverTheMessagesThatSayTheSameAre) {
+  std::mt19937_64 random = SeededRandom();
+  constexpr double kInfinity = std::numeric_limits<double>::infinity();
+  const std::vector<double> numbers = {kNan,  kInfinity, -1.0, 0.0,   1e-300,
+                                       1.001, 1e7,       1e10, 1e300, -1e9};
+  int refused = 0;
+  for (int trial = 0; trial < 5000; ++trial) {
+    Both both = RandomPoses(random);
+    v1::PoseColumns& columns = both.columns;
+    std::vector<google::protobuf::RepeatedField<double>*> all;
+    for (auto* column :
+         {columns.mutable_x_meters(), columns.mutable_y_meters(),
+          columns.mutable_z_meters(), columns.mutable_heading_radians(),
+          columns.mutable_quaternions(), columns.mutable_covariances(),
+          columns.mutable_covariance_diagonals(),
+          columns.mutable_error_transitions()}) {
+      if (!column->empty()) all.push_back(column);
+    }
+    auto* const column = all[static_cast<std::size_t>(
+        UniformInt(random, 0, static_cast<int>(all.size()) - 1))];
+    column->Set(UniformInt(random, 0, column->size() - 1),
+                numbers[static_cast<std::size_t>(UniformInt(
+                    random, 0, static_cast<int>(numbers.size()) - 1))]);
+    if (UniformInt(random, 0, 9) == 0) {
+      columns.set_first_sequence(
+          (std::uint64_t{1} << 63) -
+          static_cast<std::uint64_t>(UniformInt(random, 1, 6)));
+    }
+    const auto poses = DecodeAll(MessagesOf(columns), both.config);
+    const auto decoded = DecodeColumns(columns, both.config);
+    ASSERT_EQ(decoded.ok(), poses.ok()) << columns.DebugString();
+    if (!poses.ok()) {
+      ++refused;
+      continue;
+    }
+    for (std::size_t i = 0; i < poses->samples.size(); ++i) {
+      ExpectSameBits(decoded->samples[i], poses->samples[i]);
+    }
+  }
+  EXPECT_GT(refused, 1000);
 }
 
 // Changes good columns, and expects all to be refused for these fields.

@@ -26,8 +26,10 @@ namespace revisit::server {
 namespace {
 
 using absl::StatusCode;
+using ::testing::_;
 using ::testing::DoubleNear;
 using ::testing::ElementsAre;
+using ::testing::ElementsAreArray;
 using ::testing::HasSubstr;
 using ::testing::SizeIs;
 using ::testing::StartsWith;
@@ -170,61 +172,206 @@ TEST(StoredBatchTest, PayloadIsThePoseBatchAsItCame) {
   EXPECT_EQ(decoded->payload, batch.SerializeAsString());
 }
 
-TEST(StoredBatchTest, FingerprintsAreTheSameOnceStored) {
-  const v1::PoseBatch batch = SomePoses();
-  const auto sent =
-      DecodeBatch(SentPosesOf(batch), kMaxPoses, Planar(), FieldPath());
-  ASSERT_THAT(sent, IsOk());
-  const ProtoRecordCodec codec;
-  const auto stored = codec.DecodeBatch(sent->payload, Planar());
-  ASSERT_THAT(stored, IsOk());
-  EXPECT_EQ(stored->fingerprints, sent->fingerprints);
-  ASSERT_THAT(stored->samples, SizeIs(5));
-  EXPECT_EQ(stored->samples[4].pose.x, 5.0);
+std::vector<std::uint64_t> FingerprintsOf(const std::string& payload) {
+  const auto fingerprints = ProtoRecordCodec().Fingerprints(payload);
+  EXPECT_THAT(fingerprints, IsOk());
+  return fingerprints.value_or(std::vector<std::uint64_t>());
+}
 
-  const auto slice = codec.SliceBatch(sent->payload, 1, 3);
-  ASSERT_THAT(slice, IsOk());
-  const auto part = codec.DecodeBatch(*slice, Planar());
-  ASSERT_THAT(part, IsOk());
-  EXPECT_THAT(part->fingerprints,
-              ElementsAre(sent->fingerprints[1], sent->fingerprints[2],
-                          sent->fingerprints[3]));
-  EXPECT_THAT(codec.SliceBatch(sent->payload, 3, 3),
-              IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
-                      HasSubstr("has 5 poses; asked for 3 from 3")));
+// SomePoses() without stamps, since columns have them of all poses or of none.
+v1::PoseBatch SomeMessages() {
+  v1::PoseBatch batch = SomePoses();
+  for (v1::Pose& pose : *batch.mutable_poses()) pose.clear_stamp();
+  return batch;
+}
+
+// The same as columns.
+v1::PoseBatch SomeColumns() {
+  const v1::PoseBatch messages = SomeMessages();
+  v1::PoseBatch batch;
+  v1::PoseColumns& columns = *batch.mutable_columns();
+  columns.set_first_sequence(1);
+  columns.set_pose_count(5);
+  for (const v1::Pose& pose : messages.poses()) {
+    columns.add_x_meters(pose.local().x_meters());
+    columns.add_y_meters(pose.local().y_meters());
+    columns.add_z_meters(pose.local().z_meters());
+    columns.add_heading_radians(pose.heading_radians());
+    columns.mutable_covariances()->MergeFrom(pose.covariance().values());
+  }
+  columns.set_covariance_form(v1::COVARIANCE_FORM_PLANAR_6);
+  return batch;
+}
+
+// The stored payloads of five poses, in both forms.
+std::vector<std::string> BothForms() {
+  std::vector<std::string> payloads;
+  for (const v1::PoseBatch& batch : {SomeMessages(), SomeColumns()}) {
+    const auto sent =
+        DecodeBatch(SentPosesOf(batch), kMaxPoses, Planar(), FieldPath());
+    EXPECT_THAT(sent, IsOk());
+    payloads.push_back(sent.value_or(DecodedBatch()).payload);
+  }
+  return payloads;
+}
+
+TEST(StoredBatchTest, PartsHaveThePosesAndFingerprintsOfTheWhole) {
+  const ProtoRecordCodec codec;
+  for (const std::string& payload : BothForms()) {
+    const auto stored = codec.DecodePoses(payload, Planar());
+    ASSERT_THAT(stored, IsOk());
+    ASSERT_THAT(stored->samples, SizeIs(5));
+    EXPECT_EQ(stored->samples[4].pose.x, 5.0);
+    const std::vector<std::uint64_t> all = FingerprintsOf(payload);
+
+    const auto slice = codec.SliceBatch(payload, 1, 3);
+    ASSERT_THAT(slice, IsOk());
+    const auto part = codec.DecodePoses(*slice, Planar());
+    ASSERT_THAT(part, IsOk());
+    ASSERT_THAT(part->samples, SizeIs(3));
+    EXPECT_EQ(part->samples[0].sequence, 2u);
+    EXPECT_THAT(FingerprintsOf(*slice), ElementsAre(all[1], all[2], all[3]));
+    EXPECT_THAT(codec.SliceBatch(payload, 2, 0), IsOk());
+    EXPECT_THAT(codec.SliceBatch(payload, 3, 3),
+                IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
+                        HasSubstr("has 5 poses; asked for 3 from 3")));
+  }
 }
 
 TEST(StoredBatchTest, IsDividedIntoBatchesOfPosesUpToSomeBytes) {
-  const v1::PoseBatch batch = SomePoses();
-  const auto sent =
-      DecodeBatch(SentPosesOf(batch), kMaxPoses, Planar(), FieldPath());
-  ASSERT_THAT(sent, IsOk());
   const ProtoRecordCodec codec;
-  const std::string& payload = sent->payload;
-  for (const std::size_t most : {std::size_t{1}, payload.size() / 2,
-                                 payload.size() - 1, payload.size()}) {
-    const auto parts = codec.DivideBatch(payload, 5, most);
-    std::string joined;
-    std::vector<std::uint64_t> fingerprints;
-    for (const BatchPart& part : parts) {
-      EXPECT_TRUE(part.count == 1 || part.payload.size() <= most);
-      joined += part.payload;
-      const auto decoded = codec.DecodeBatch(part.payload, Planar());
-      ASSERT_THAT(decoded, IsOk());
-      EXPECT_EQ(decoded->samples.size(), part.count);
-      fingerprints.insert(fingerprints.end(), decoded->fingerprints.begin(),
-                          decoded->fingerprints.end());
+  for (const std::string& payload : BothForms()) {
+    for (const std::size_t most : {std::size_t{1}, payload.size() / 2,
+                                   payload.size() - 1, payload.size()}) {
+      const auto parts = codec.DivideBatch(payload, 5, most);
+      std::vector<std::uint64_t> fingerprints;
+      for (const BatchPart& part : parts) {
+        EXPECT_TRUE(part.count == 1 || part.payload.size() <= most);
+        const auto decoded = codec.DecodePoses(part.payload, Planar());
+        ASSERT_THAT(decoded, IsOk());
+        EXPECT_EQ(decoded->samples.size(), part.count);
+        const auto of_part = FingerprintsOf(part.payload);
+        fingerprints.insert(fingerprints.end(), of_part.begin(), of_part.end());
+      }
+      EXPECT_EQ(fingerprints, FingerprintsOf(payload));
+      EXPECT_EQ(parts.size() == 1, most == payload.size());
+      EXPECT_EQ(parts.size() == 5, most == 1);
     }
-    EXPECT_EQ(joined, payload);
-    EXPECT_EQ(fingerprints, sent->fingerprints);
-    EXPECT_EQ(parts.size() == 1, most == payload.size());
-    EXPECT_EQ(parts.size() == 5, most == 1);
   }
   // What is none stays as it is.
   const auto none = codec.DivideBatch("no batch", 3, 2);
   ASSERT_THAT(none, SizeIs(1));
   EXPECT_EQ(none[0].count, 3u);
   EXPECT_EQ(none[0].payload, "no batch");
+}
+
+TEST(StoredBatchTest, ColumnsAreStoredAsTheyCame) {
+  v1::PoseBatch batch = SomeColumns();
+  // The messages are alike.
+  stored::PoseBatch stored;
+  ASSERT_TRUE(stored.ParseFromString(BothForms()[1]));
+  ASSERT_EQ(stored.columns_size(), 1);
+  EXPECT_EQ(stored.columns(0).SerializeAsString(),
+            batch.columns().SerializeAsString());
+  // Fields that this version does not know reach no record.
+  batch.mutable_columns()
+      ->GetReflection()
+      ->MutableUnknownFields(batch.mutable_columns())
+      ->AddVarint(1000, 1);
+  const auto sent =
+      DecodeBatch(SentPosesOf(batch), kMaxPoses, Planar(), FieldPath());
+  ASSERT_THAT(sent, IsOk());
+  EXPECT_EQ(sent->payload, BothForms()[1]);
+}
+
+TEST(StoredBatchTest, ColumnsBecomeTheMessagesThatSayTheSame) {
+  const ProtoRecordCodec codec;
+  const std::vector<std::string> payloads = BothForms();
+  for (const std::string& payload : payloads) {
+    const auto messages = codec.AsMessages(payload);
+    ASSERT_THAT(messages, IsOk());
+    EXPECT_EQ(*messages, payloads[0]);
+  }
+  EXPECT_EQ(FingerprintsOf(payloads[1]), FingerprintsOf(payloads[0]));
+}
+
+// Storages join the batches that share a row by their bytes.
+TEST(StoredBatchTest, JoinedPayloadsOfBothFormsHaveAllPosesInOrder) {
+  const ProtoRecordCodec codec;
+  std::string row;
+  std::string messages;
+  for (const int kind : {0, 1, 1, 0, 0, 1}) {
+    const std::uint64_t before =
+        codec.DecodePoses(row, Planar())->samples.size();
+    v1::PoseBatch moved = SomeMessages();
+    for (v1::Pose& pose : *moved.mutable_poses()) {
+      pose.set_sequence(pose.sequence() + before);
+    }
+    messages += moved.SerializeAsString();
+    if (kind == 1) {
+      moved = SomeColumns();
+      moved.mutable_columns()->set_first_sequence(1 + before);
+    }
+    const auto sent =
+        DecodeBatch(SentPosesOf(moved), kMaxPoses, Planar(), FieldPath());
+    ASSERT_THAT(sent, IsOk());
+    row += sent->payload;
+  }
+  const auto decoded = codec.DecodePoses(row, Planar());
+  ASSERT_THAT(decoded, IsOk());
+  ASSERT_THAT(decoded->samples, SizeIs(30));
+  for (std::size_t i = 0; i < 30; ++i) {
+    EXPECT_EQ(decoded->samples[i].sequence, i + 1);
+  }
+  EXPECT_EQ(codec.AsMessages(row).value(), messages);
+  const std::vector<std::uint64_t> all = FingerprintsOf(row);
+  EXPECT_EQ(all, FingerprintsOf(messages));
+  for (std::size_t first = 0; first < 30; first += 3) {
+    for (std::size_t count = 1; count <= 30 - first; count += 4) {
+      const auto slice = codec.SliceBatch(row, first, count);
+      ASSERT_THAT(slice, IsOk());
+      EXPECT_THAT(FingerprintsOf(*slice),
+                  ElementsAreArray(all.data() + first, count));
+    }
+  }
+  // In another order, or with a gap, they are none.
+  const std::string columns = BothForms()[1];
+  EXPECT_THAT(codec.DecodePoses(columns + columns, Planar()),
+              IsError(StatusCode::kDataLoss, "STORE_CORRUPT", _));
+}
+
+TEST(StoredBatchTest, ColumnsThatAreNoneAreDataLoss) {
+  const ProtoRecordCodec codec;
+  stored::PoseBatch sound;
+  ASSERT_TRUE(sound.ParseFromString(BothForms()[1]));
+  const std::vector<std::function<void(stored::PoseBatch*)>> changes = {
+      [](auto* b) { b->mutable_columns(0)->clear_x_meters(); },
+      [](auto* b) { b->mutable_columns(0)->set_pose_count(0); },
+      [](auto* b) { b->mutable_columns(0)->set_pose_count(-1); },
+      [](auto* b) { b->mutable_columns(0)->set_pose_count(2147483647); },
+      [](auto* b) { b->mutable_columns(0)->clear_covariance_form(); },
+      [](auto* b) { b->mutable_columns(0)->add_stamp_step_nanos(1); },
+      [](auto* b) { b->mutable_columns(0)->add_error_transitions(1); },
+      [](auto* b) { b->mutable_dropped()->set_first_sequence(1); }};
+  for (std::size_t i = 0; i < changes.size(); ++i) {
+    stored::PoseBatch damaged = sound;
+    changes[i](&damaged);
+    BatchRecord record;
+    record.payload = damaged.SerializeAsString();
+    const auto is_loss = IsError(StatusCode::kDataLoss, "STORE_CORRUPT", _);
+    EXPECT_THAT(codec.DecodePoses(record.payload, Planar()), is_loss) << i;
+    EXPECT_THAT(codec.Fingerprints(record.payload), is_loss) << i;
+    EXPECT_THAT(codec.AsMessages(record.payload), is_loss) << i;
+    EXPECT_THAT(codec.SliceBatch(record.payload, 0, 1), is_loss) << i;
+    EXPECT_THAT(VisitPoses(record, [](const PoseFields&) { return true; }),
+                is_loss)
+        << i;
+    EXPECT_THAT(
+        ReviseBatch(record, Planar(), RevisedStarts::kStay,
+                    [](std::uint64_t) { return std::optional<PoseFields>(); }),
+        is_loss)
+        << i;
+  }
 }
 
 TEST(StoredBatchTest, FingerprintTellsEveryFieldApart) {
@@ -237,13 +384,13 @@ TEST(StoredBatchTest, FingerprintTellsEveryFieldApart) {
       [](v1::Pose* p) { p->mutable_quaternion()->set_w(1); },
       [](v1::Pose* p) { p->mutable_covariance()->set_values(0, 4.5); }};
   const std::uint64_t original =
-      DecodeAll({pose}, Planar()).value().fingerprints[0];
+      FingerprintsOf(DecodeAll({pose}, Planar()).value().payload)[0];
   for (std::size_t i = 0; i < changes.size(); ++i) {
     v1::Pose changed = pose;
     changes[i](&changed);
     const auto decoded = DecodeAll({changed}, Planar());
     ASSERT_THAT(decoded, IsOk());
-    EXPECT_NE(decoded->fingerprints[0], original) << "change " << i;
+    EXPECT_NE(FingerprintsOf(decoded->payload)[0], original) << "change " << i;
   }
 }
 
@@ -270,7 +417,7 @@ TEST(StoredBatchTest, BytesAndFingerprintAreThoseOfTheFirstRelease) {
             "0000000000001440"        // 5
             "333333333333d33f"        // 0.3
             "b81e85eb51b8ae3f");      // 0.06
-  EXPECT_EQ(decoded->fingerprints[0], 17976514935543079048u);
+  EXPECT_EQ(FingerprintsOf(decoded->payload)[0], 17976514935543079048u);
 }
 
 TEST(StoredBatchTest, UnreadableRecordIsDataLoss) {
@@ -280,7 +427,7 @@ TEST(StoredBatchTest, UnreadableRecordIsDataLoss) {
   for (const std::string& payload :
        {std::string("\x0a\x7f"), batch.SerializeAsString()}) {
     EXPECT_THAT(
-        codec.DecodeBatch(payload, Planar()),
+        codec.DecodePoses(payload, Planar()),
         IsError(StatusCode::kDataLoss, "STORE_CORRUPT", HasSubstr("batch")));
   }
 }
@@ -314,10 +461,10 @@ TEST(StoredBatchTest, KeepsWhatIsLeftOfDroppedPoses) {
   filter.drive.search.correlation_model = core::CorrelationModel::kFilter;
   // What a filter needs is missing.
   EXPECT_THAT(
-      codec.DecodeBatch(record.payload, filter),
+      codec.DecodePoses(record.payload, filter),
       IsError(StatusCode::kDataLoss, "STORE_CORRUPT", HasSubstr("batch")));
   stretch.transition.emplace().values[3] = -17.25;
-  const auto carried = codec.DecodeBatch(codec.EncodeDropped(stretch), filter);
+  const auto carried = codec.DecodePoses(codec.EncodeDropped(stretch), filter);
   ASSERT_THAT(carried, IsOk());
   EXPECT_EQ(carried->dropped->transition->values, stretch.transition->values);
 }
@@ -471,9 +618,9 @@ TEST(ReviseBatchTest, TurnsTheTransitionOfAGeodeticPoseThatBecomesLocal) {
   }
   const ProtoRecordCodec codec;
   const auto before =
-      codec.DecodeBatch(stored.SerializeAsString(), config).value();
+      codec.DecodePoses(stored.SerializeAsString(), config).value();
   const v1::PoseBatch batch = Revised(stored, PlanarPose(2, 5), config);
-  const auto after = codec.DecodeBatch(batch.SerializeAsString(), config);
+  const auto after = codec.DecodePoses(batch.SerializeAsString(), config);
   ASSERT_THAT(after, IsOk());
   EXPECT_EQ(after->samples[0].pose.x, 5);
   for (std::size_t i = 0; i < 16; ++i) {
@@ -546,7 +693,6 @@ TEST(RecordIndependenceTest, NewFieldsOfPosesDoNotReachTheRecord) {
     ASSERT_THAT(plain, IsOk());
     ASSERT_THAT(batch, IsOk());
     EXPECT_EQ(batch->payload, plain->payload);
-    EXPECT_EQ(batch->fingerprints, plain->fingerprints);
   }
 }
 
@@ -567,6 +713,21 @@ TEST(RecordIndependenceTest, EverySettingOfTheApiIsStored) {
     const auto* const stored =
         stored::VehicleSettings::descriptor()->FindFieldByName(field->name());
     ASSERT_NE(stored, nullptr) << field->name();
+    EXPECT_EQ(stored->type(), field->type()) << field->name();
+  }
+}
+
+// A column that is not stored would be lost without a word.
+TEST(RecordIndependenceTest, EveryColumnOfTheApiIsStored) {
+  const auto* const columns = v1::PoseColumns::descriptor();
+  ASSERT_EQ(stored::PoseColumns::descriptor()->field_count(),
+            columns->field_count());
+  for (int i = 0; i < columns->field_count(); ++i) {
+    const auto* const field = columns->field(i);
+    const auto* const stored =
+        stored::PoseColumns::descriptor()->FindFieldByName(field->name());
+    ASSERT_NE(stored, nullptr) << field->name();
+    EXPECT_EQ(stored->number(), field->number()) << field->name();
     EXPECT_EQ(stored->type(), field->type()) << field->name();
   }
 }

@@ -110,7 +110,7 @@ TEST_F(SqliteStorageTest, FindsDamageOfEveryColumn) {
 TEST_F(SqliteStorageTest, FindsDamageOfVehicle) {
   for (const char* damage :
        {"UPDATE vehicles SET payload = 'Payload'",
-        "UPDATE vehicles SET revision = 5", "UPDATE vehicles SET format = 9",
+        "UPDATE vehicles SET revision = 5", "UPDATE vehicles SET format = 10",
         "UPDATE vehicles SET key = 2",
         // The last batch says how far the vehicle goes.
         "UPDATE batches SET count = 3 WHERE first_sequence = 5",

@@ -19,11 +19,11 @@ using ::testing::IsEmpty;
 
 TEST_F(SqliteStorageTest, RefusesNewerFormat) {
   MakeStore();
-  RunSql(Path(), "PRAGMA user_version = 9");
+  RunSql(Path(), "PRAGMA user_version = 10");
   EXPECT_THAT(OpenSqliteStorage(Path()),
               IsError(StatusCode::kFailedPrecondition, "",
-                      AllOf(HasSubstr("has format 9"),
-                            HasSubstr("this server reads formats 4 to 8"),
+                      AllOf(HasSubstr("has format 10"),
+                            HasSubstr("this server reads formats 4 to 9"),
                             HasSubstr("use a newer server"))));
 }
 
@@ -33,7 +33,7 @@ TEST_F(SqliteStorageTest, RefusesFormatThatWasNeverReleased) {
   EXPECT_THAT(OpenSqliteStorage(Path()),
               IsError(StatusCode::kFailedPrecondition, "",
                       AllOf(HasSubstr("has format 3"),
-                            HasSubstr("this server reads formats 4 to 8"))));
+                            HasSubstr("this server reads formats 4 to 9"))));
 }
 
 TEST_F(SqliteStorageTest, RefusesFileOfAnotherProgramAndLeavesItAsItIs) {
@@ -53,7 +53,7 @@ TEST_F(SqliteStorageTest, RefusesFileThatIsNoDatabase) {
                       HasSubstr("is not a store of revisit")));
 }
 
-TEST_F(SqliteStorageTest, WritesFormat8) {
+TEST_F(SqliteStorageTest, WritesFormat9) {
   // Golden: a change here is a new format. The checksums were printed by this
   // program once; record_checksum.h says what they are made of.
   const VehicleKey key = MakeStore();
@@ -85,7 +85,7 @@ TEST_F(SqliteStorageTest, WritesFormat8) {
                 IsOk());
   }
   EXPECT_EQ(RunSql(Path(), "PRAGMA application_id; PRAGMA user_version"),
-            "1381389140\n8\n");
+            "1381389140\n9\n");
   EXPECT_EQ(RunSql(Path(), "PRAGMA journal_mode"), "wal\n");
   EXPECT_EQ(RunSql(Path(), "PRAGMA page_size"), "8192\n");
   EXPECT_EQ(RunSql(Path(),
@@ -99,7 +99,7 @@ TEST_F(SqliteStorageTest, WritesFormat8) {
   EXPECT_EQ(RunSql(Path(),
                    "SELECT key, id, format, revision, checksum, "
                    "payload FROM vehicles"),
-            "1|truck|8|7|-2265942714625145979|payload\n");
+            "1|truck|9|7|7142115261073619293|payload\n");
   EXPECT_EQ(RunSql(Path(), "PRAGMA auto_vacuum"), "2\n");
   // Where store_state.h says that it stands; of the rest only the number of the
   // commit, the creation's included, and that it was the last are known.
@@ -111,48 +111,80 @@ TEST_F(SqliteStorageTest, WritesFormat8) {
       "SELECT vehicle_key, first_sequence, count, format, revision, checksum, "
       "payload FROM ";
   EXPECT_EQ(RunSql(Path(), batch + "batches"),
-            "1|1|2|8|2|-2442835587616324140|alpha\n"
-            "1|3|2|8|3|-6392577953320758442|beta\n"
-            "1|5|2|8|4|-7679106914065205411|gamma\n");
+            "1|1|2|9|2|-6415618383081811197|alpha\n"
+            "1|3|2|9|3|-182051484151242630|beta\n"
+            "1|5|2|9|4|-8177843865597535832|gamma\n");
   EXPECT_EQ(RunSql(Path(), batch + "revised_batches"),
-            "1|5|2|8|5|8068352387906842914|GAMMA\n");
+            "1|5|2|9|5|6343227125892268326|GAMMA\n");
   const std::string pair =
       "SELECT vehicle_key, id, format, query_sequence, matched_sequence, "
       "create_time_ns, checksum, payload FROM ";
   EXPECT_EQ(RunSql(Path(), pair + "loop_closures"),
-            "1|link|8|6|1|99|-5407416111403082421|measured\n");
+            "1|link|9|6|1|99|3894719731166983954|measured\n");
   EXPECT_EQ(RunSql(Path(), pair + "rejected_candidates"),
-            "1|no|8|6|2|100|7018123967209369271|\n");
+            "1|no|9|6|2|100|-8901053670911878638|\n");
   EXPECT_EQ(RunSql(Path(),
                    "SELECT vehicle_key, number, kind, id, format, "
                    "query_sequence, matched_sequence, create_time_ns, "
                    "delete_time_ns, checksum, payload FROM deleted_pose_pairs"),
-            "1|1|2|gone|8|5|2|101|102|435252129925002635|said\n");
+            "1|1|2|gone|9|5|2|101|102|-2449033999147468391|said\n");
   EXPECT_EQ(RunSql(Path(),
                    "SELECT vehicle_key, format, stores, checked_sequence, "
                    "last_event, checksum FROM check_heads"),
-            "1|8|1|5|1|-262596929090694030\n");
+            "1|9|1|5|1|1328295749546238155\n");
   EXPECT_EQ(RunSql(Path(),
                    "SELECT vehicle_key, sequence, format, revision, "
                    "open_count, create_time_ns, checksum, payload FROM checks"),
-            "1|4|8|7|2|103|2499168942404913313|found\n");
+            "1|4|9|7|2|103|3753797113483146547|found\n");
   EXPECT_EQ(RunSql(Path(),
                    "SELECT id, vehicle_key, number, format, time_ns, checksum, "
                    "payload FROM events"),
-            "1|1|1|8|104|6832063038662882545|told\n");
+            "1|1|1|9|104|-7105728943893578983|told\n");
   EXPECT_EQ(RunSql(Path(),
                    "SELECT id, format, revision, uid, checksum, payload FROM "
                    "vehicle_groups"),
-            "fleet|8|2|unique|-7561004399969388852|settings\n");
+            "fleet|9|2|unique|-4520253389883713093|settings\n");
   EXPECT_EQ(RunSql(Path(),
                    "SELECT group_id, vehicle_key, format, checksum, payload "
                    "FROM group_members"),
-            "fleet|1|8|5966952186254130308|datum\n");
+            "fleet|1|9|2396699369029455702|datum\n");
   EXPECT_EQ(RunSql(Path(),
                    "SELECT group_id, id, format, state, query_vehicle, "
                    "query_sequence, matched_vehicle, matched_sequence, "
                    "checksum, payload FROM group_links"),
-            "fleet|joined|8|2|1|6|1|1|9016742505869253134|mark\n");
+            "fleet|joined|9|2|1|6|1|1|4883537530600076510|mark\n");
+}
+
+// Makes the store of MakeStore() what a server of format 8 left: the same. The
+// checksums are those that such a server wrote.
+constexpr char kToFormat8[] = R"sql(
+UPDATE vehicles SET format = 8, checksum = -2265942714625145979;
+UPDATE batches SET format = 8, checksum = -2442835587616324140
+  WHERE first_sequence = 1;
+UPDATE batches SET format = 8, checksum = -6392577953320758442
+  WHERE first_sequence = 3;
+UPDATE batches SET format = 8, checksum = -7679106914065205411
+  WHERE first_sequence = 5;
+UPDATE revised_batches SET format = 8, checksum = 8068352387906842914;
+UPDATE loop_closures SET format = 8, checksum = -5407416111403082421;
+UPDATE rejected_candidates SET format = 8, checksum = 7018123967209369271;
+PRAGMA user_version = 8;
+)sql";
+
+TEST_F(SqliteStorageTest, StoreOfFormat8OpensAndIsNoneForServersOfThatFormat) {
+  MakeStore();
+  RunSql(Path(), kToFormat8);
+  {
+    const std::unique_ptr<Storage> storage = MustOpen(Path());
+    EXPECT_EQ(ToText(*storage->GetVehicle("truck")),
+              "truck 1: 1 closures, 1 rejected, to 6, revision 7, 'payload'");
+    EXPECT_THAT(
+        ToTexts(*ReadAll(*storage, 1, 1, 6)),
+        ElementsAre("1+2, revision 2, 'alpha'", "3+2, revision 3, 'beta'",
+                    "5+2, revision 5, 'GAMMA'"));
+    EXPECT_TRUE(storage->KeepsColumns());
+  }
+  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "9\n");
 }
 
 // Takes away the tables that came with format 8.
@@ -194,7 +226,7 @@ TEST_F(SqliteStorageTest, StoreOfFormat7OpensAndKeepsGroupsFromThenOn) {
     ASSERT_THAT(write.Create("fleet"), IsOk());
     ASSERT_THAT(write.Change("fleet", {AddGroupMember{{1, "datum"}}}), IsOk());
   }
-  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "8\n");
+  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "9\n");
   EXPECT_THAT(*MustOpen(Path())->Groups().ListGroupsOf(1),
               ElementsAre("fleet"));
 }
@@ -240,7 +272,7 @@ TEST_F(SqliteStorageTest, StoreOfFormat6OpensAndStoresChecksFromThenOn) {
     checks.after = {true, 6, 0};
     EXPECT_THAT(write.PutChecks(1, checks), IsOk());
   }
-  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "8\n");
+  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "9\n");
   EXPECT_EQ(MustOpen(Path())->GetVehicle("truck")->checks,
             (ChecksHead{true, 6, 0}));
 }
@@ -277,7 +309,7 @@ TEST_F(SqliteStorageTest, StoreOfFormat5OpensAndKeepsWhatIsDeletedFromThenOn) {
     BlockingWrites write(storage.get());
     EXPECT_THAT(write.DeletePair(1, PairKind::kLoopClosure, "link", 8), IsOk());
   }
-  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "8\n");
+  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "9\n");
   EXPECT_EQ(MustOpen(Path())->ListDeletedPairs(1)->size(), 1u);
 }
 
@@ -319,7 +351,7 @@ TEST_F(SqliteStorageTest, StoreOfFormat4OpensAndGainsSnapshots) {
     EXPECT_THAT(write.PutSnapshot(1, {6, 1, "rest"}), IsOk());
     EXPECT_THAT(*storage->ListDeletedPairs(1), IsEmpty());
   }
-  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "8\n");
+  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "9\n");
   EXPECT_EQ(RunSql(Path(), "SELECT format, count(*) FROM batches GROUP BY 1"),
             "4|3\n");
   EXPECT_EQ(SnapshotOf(*MustOpen(Path()), 1), "to 6: part, 'rest'");

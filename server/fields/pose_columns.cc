@@ -1,7 +1,7 @@
-#include "server/conversion/pose_columns.h"
+#include "server/fields/pose_columns.h"
 
 #include <algorithm>
-#include <memory>
+#include <utility>
 
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
@@ -51,8 +51,8 @@ std::string Element(const char* column, std::size_t index) {
 
 // Where the numbers of a pose begin in a column of so many in all; at 0 where
 // all poses have the same ones.
-std::size_t BeginOf(int all, std::size_t per_pose, std::size_t index) {
-  return static_cast<std::size_t>(all) == per_pose ? 0 : index * per_pose;
+std::size_t BeginOf(std::size_t all, std::size_t per_pose, std::size_t index) {
+  return all == per_pose ? 0 : index * per_pose;
 }
 
 // The index behind a name such as "covariance.values[4]"; nothing without one.
@@ -64,12 +64,14 @@ bool TakeIndex(absl::string_view text, absl::string_view name,
 
 }  // namespace
 
-PoseColumns::PoseColumns(const v1::PoseColumns& message, const FieldPath& path,
+PoseColumns::PoseColumns(ColumnFields fields, const FieldPath& path,
                          Violations* violations)
-    : message_(message),
-      form_(static_cast<CovarianceForm>(message.covariance_form())),
-      values_(ValuesOf(form_)),
-      diagonal_(SizeOf(form_)) {
+    : fields_(std::move(fields)),
+      values_(ValuesOf(fields_.covariance_form)),
+      diagonal_(SizeOf(fields_.covariance_form)),
+      has_one_covariance_(fields_.covariances.empty()
+                              ? fields_.covariance_diagonals.size() == diagonal_
+                              : fields_.covariances.size() == values_) {
   const std::size_t before = violations->count();
   CheckChoices(path, violations);
   CheckLengths(path, violations);
@@ -88,19 +90,18 @@ void PoseColumns::CheckChoices(const FieldPath& path,
                              second, has_first ? "`; allowed is one" : "`"));
     }
   };
-  one_of("x_meters", !message_.x_meters().empty(), "latitude_degrees",
-         !message_.latitude_degrees().empty());
-  one_of("heading_radians", !message_.heading_radians().empty(), "quaternions",
-         !message_.quaternions().empty());
-  one_of("covariances", !message_.covariances().empty(), "covariance_diagonals",
-         !message_.covariance_diagonals().empty());
+  one_of("x_meters", !fields_.x_meters.empty(), "latitude_degrees",
+         !fields_.latitude_degrees.empty());
+  one_of("heading_radians", !fields_.heading_radians.empty(), "quaternions",
+         !fields_.quaternions.empty());
+  one_of("covariances", !fields_.covariances.empty(), "covariance_diagonals",
+         !fields_.covariance_diagonals.empty());
 }
 
-void PoseColumns::CheckPerPose(int given, std::size_t per_pose, bool may_be_one,
-                               const FieldPath& path,
+void PoseColumns::CheckPerPose(std::size_t given, std::size_t per_pose,
+                               bool may_be_one, const FieldPath& path,
                                Violations* violations) const {
-  const auto count = static_cast<std::size_t>(given);
-  if (count == per_pose * size() || (may_be_one && count == per_pose)) return;
+  if (given == per_pose * size() || (may_be_one && given == per_pose)) return;
   violations->Add(
       kColumnSize, path,
       StrCat("got ", given, " numbers; ", size(), " poses have ",
@@ -110,43 +111,43 @@ void PoseColumns::CheckPerPose(int given, std::size_t per_pose, bool may_be_one,
 
 void PoseColumns::CheckLengths(const FieldPath& path,
                                Violations* violations) const {
-  const auto check = [&](const char* name, int given, std::size_t per_pose,
-                         bool may_be_one = false) {
+  const auto check = [&](const char* name, std::size_t given,
+                         std::size_t per_pose, bool may_be_one = false) {
     if (given > 0) {
       CheckPerPose(given, per_pose, may_be_one, path.Field(name), violations);
     }
   };
   // Some must be there where another one is.
-  const auto check_beside = [&](const char* name, int given, int other) {
+  const auto check_beside = [&](const char* name, std::size_t given,
+                                std::size_t other) {
     if (other > 0 || given > 0) {
       CheckPerPose(given, 1, false, path.Field(name), violations);
     }
   };
-  check_beside("x_meters", message_.x_meters_size(), message_.y_meters_size());
-  check_beside("y_meters", message_.y_meters_size(), message_.x_meters_size());
-  check("z_meters", message_.z_meters_size(), 1);
-  check_beside("latitude_degrees", message_.latitude_degrees_size(),
-               message_.longitude_degrees_size());
-  check_beside("longitude_degrees", message_.longitude_degrees_size(),
-               message_.latitude_degrees_size());
-  check("height_meters", message_.height_meters_size(), 1);
-  check("heading_radians", message_.heading_radians_size(), 1);
-  check("quaternions", message_.quaternions_size(), 4);
+  check_beside("x_meters", fields_.x_meters.size(), fields_.y_meters.size());
+  check_beside("y_meters", fields_.y_meters.size(), fields_.x_meters.size());
+  check("z_meters", fields_.z_meters.size(), 1);
+  check_beside("latitude_degrees", fields_.latitude_degrees.size(),
+               fields_.longitude_degrees.size());
+  check_beside("longitude_degrees", fields_.longitude_degrees.size(),
+               fields_.latitude_degrees.size());
+  check("height_meters", fields_.height_meters.size(), 1);
+  check("heading_radians", fields_.heading_radians.size(), 1);
+  check("quaternions", fields_.quaternions.size(), 4);
   if (values_ == 0) {
     violations->Add(kInvalidField, path.Field("covariance_form"),
-                    StrCat("got ", static_cast<int>(form_),
+                    StrCat("got ", static_cast<int>(fields_.covariance_form),
                            "; required is PLANAR_6, SPATIAL_10 or ROS_36"));
   } else {
-    check("covariances", message_.covariances_size(), values_, true);
-    check("covariance_diagonals", message_.covariance_diagonals_size(),
+    check("covariances", fields_.covariances.size(), values_, true);
+    check("covariance_diagonals", fields_.covariance_diagonals.size(),
           diagonal_, true);
   }
 }
 
 void PoseColumns::ReadTransitions(const FieldPath& path,
                                   Violations* violations) {
-  const auto given =
-      static_cast<std::size_t>(message_.error_transitions_size());
+  const std::size_t given = fields_.error_transitions.size();
   if (given == 0) return;
   for (const std::size_t numbers : kTransitionSizes) {
     first_has_none_ = given == numbers * (size() - 1);
@@ -163,8 +164,8 @@ void PoseColumns::ReadTransitions(const FieldPath& path,
 
 void PoseColumns::ReadStamps(const FieldPath& path, Violations* violations) {
   const FieldPath steps = path.Field("stamp_step_nanos");
-  const int given = message_.stamp_step_nanos_size();
-  if (!message_.has_first_stamp()) {
+  const std::size_t given = fields_.stamp_step_nanos.size();
+  if (!fields_.first_stamp) {
     if (given > 0) {
       violations->Add(kColumnSize, steps,
                       StrCat("got ", given,
@@ -172,19 +173,19 @@ void PoseColumns::ReadStamps(const FieldPath& path, Violations* violations) {
     }
     return;
   }
-  if (given != message_.pose_count() - 1) {
+  if (given != size() - 1) {
     violations->Add(kColumnSize, steps,
                     StrCat("got ", given, " numbers; ", size(),
                            " poses with stamps have ", size() - 1));
     return;
   }
-  if (!CheckTimestamp(message_.first_stamp(), path.Field("first_stamp"),
+  if (!CheckTimestamp(*fields_.first_stamp, path.Field("first_stamp"),
                       violations)) {
     return;
   }
   stamps_ns_.reserve(size());
-  stamps_ns_.push_back(ToNanoseconds(message_.first_stamp()));
-  for (const std::int64_t step : message_.stamp_step_nanos()) {
+  stamps_ns_.push_back(ToNanoseconds(*fields_.first_stamp));
+  for (const std::int64_t step : fields_.stamp_step_nanos) {
     std::int64_t next = 0;
     if (__builtin_add_overflow(stamps_ns_.back(), step, &next)) {
       violations->Add(kInvalidField,
@@ -198,58 +199,88 @@ void PoseColumns::ReadStamps(const FieldPath& path, Violations* violations) {
 }
 
 CovarianceFields PoseColumns::CovarianceAt(std::size_t index) {
-  if (!message_.covariances().empty()) {
-    const absl::Span<const double> all = message_.covariances();
-    return {form_,
-            all.subspan(BeginOf(message_.covariances_size(), values_, index),
-                        values_)};
+  if (!fields_.covariances.empty()) {
+    const absl::Span<const double> all = fields_.covariances;
+    return {fields_.covariance_form,
+            all.subspan(BeginOf(all.size(), values_, index), values_)};
   }
   const double* const variances =
-      message_.covariance_diagonals().data() +
-      BeginOf(message_.covariance_diagonals_size(), diagonal_, index);
+      fields_.covariance_diagonals.data() +
+      BeginOf(fields_.covariance_diagonals.size(), diagonal_, index);
   for (std::size_t k = 0; k < diagonal_; ++k) {
-    covariance_[DiagonalIndex(form_, k)] = variances[k];
+    covariance_[DiagonalIndex(fields_.covariance_form, k)] = variances[k];
   }
-  return {form_, absl::MakeConstSpan(covariance_.data(), values_)};
+  return {fields_.covariance_form,
+          absl::MakeConstSpan(covariance_.data(), values_)};
 }
 
 PoseFields PoseColumns::At(std::size_t index) {
-  const auto i = static_cast<int>(index);
   PoseFields fields;
-  fields.sequence = message_.first_sequence() + index;
+  fields.sequence = fields_.first_sequence + index;
   if (!stamps_ns_.empty()) {
     EncodeTime(stamps_ns_[index], &stamp_);
     fields.stamp = &stamp_;
   }
-  if (!message_.x_meters().empty()) {
+  if (!fields_.x_meters.empty()) {
     fields.position_kind = PoseFields::Position::kLocal;
     fields.position = {
-        message_.x_meters(i), message_.y_meters(i),
-        message_.z_meters().empty() ? 0.0 : message_.z_meters(i)};
+        fields_.x_meters[index], fields_.y_meters[index],
+        fields_.z_meters.empty() ? 0.0 : fields_.z_meters[index]};
   } else {
     fields.position_kind = PoseFields::Position::kGeodetic;
     fields.position = {
-        message_.latitude_degrees(i), message_.longitude_degrees(i),
-        message_.height_meters().empty() ? 0.0 : message_.height_meters(i)};
+        fields_.latitude_degrees[index], fields_.longitude_degrees[index],
+        fields_.height_meters.empty() ? 0.0 : fields_.height_meters[index]};
   }
-  if (!message_.quaternions().empty()) {
+  if (!fields_.quaternions.empty()) {
     fields.orientation_kind = PoseFields::Orientation::kQuaternion;
-    std::copy_n(message_.quaternions().data() + 4 * i, 4,
+    std::copy_n(fields_.quaternions.data() + 4 * index, 4,
                 fields.orientation.begin());
   } else {
     fields.orientation_kind = PoseFields::Orientation::kHeading;
-    fields.orientation[0] = message_.heading_radians(i);
+    fields.orientation[0] = fields_.heading_radians[index];
   }
   fields.covariance = CovarianceAt(index);
-  if (transition_ > 0 && !(first_has_none_ && index == 0)) {
-    const absl::Span<const double> all = message_.error_transitions();
-    fields.error_transition = all.subspan(TransitionBegin(index), transition_);
-  }
-  if (index == 0 && message_.has_recording_start()) {
-    fields.recording_start = std::make_shared<const RecordingStartFields>(
-        RecordingStartFieldsOf(message_.recording_start()));
-  }
+  fields.error_transition = TransitionAt(index);
+  if (index == 0) fields.recording_start = fields_.recording_start;
   return fields;
+}
+
+absl::Span<const double> PoseColumns::TransitionAt(std::size_t index) const {
+  if (transition_ == 0 || (first_has_none_ && index == 0)) return {};
+  return fields_.error_transitions.subspan(TransitionBegin(index), transition_);
+}
+
+ColumnFields PoseColumns::Slice(std::size_t first, std::size_t count) const {
+  ColumnFields slice = fields_;
+  slice.first_sequence += first;
+  slice.pose_count = static_cast<std::int32_t>(count);
+  if (!stamps_ns_.empty()) EncodeTime(stamps_ns_[first], &*slice.first_stamp);
+  const auto cut = [&](auto* column, std::size_t per_pose) {
+    if (!column->empty()) {
+      *column = column->subspan(first * per_pose, count * per_pose);
+    }
+  };
+  if (!stamps_ns_.empty()) {
+    slice.stamp_step_nanos = slice.stamp_step_nanos.subspan(first, count - 1);
+  }
+  for (auto* column : {&slice.x_meters, &slice.y_meters, &slice.z_meters,
+                       &slice.latitude_degrees, &slice.longitude_degrees,
+                       &slice.height_meters, &slice.heading_radians}) {
+    cut(column, 1);
+  }
+  cut(&slice.quaternions, 4);
+  if (!has_one_covariance_) {
+    cut(&slice.covariances, values_);
+    cut(&slice.covariance_diagonals, diagonal_);
+  }
+  if (transition_ > 0) {
+    const std::size_t begin = first == 0 ? 0 : TransitionBegin(first);
+    slice.error_transitions = slice.error_transitions.subspan(
+        begin, TransitionBegin(first + count) - begin);
+  }
+  if (first > 0) slice.recording_start = nullptr;
+  return slice;
 }
 
 std::string PoseColumns::ColumnOf(std::size_t index,
@@ -268,8 +299,8 @@ std::string PoseColumns::ColumnOf(std::size_t index,
     return StrCat(name, "[", index, "]");
   }
   if (name == "orientation") {
-    return message_.quaternions().empty() ? Element("heading_radians", index)
-                                          : Element("quaternions", 4 * index);
+    return fields_.quaternions.empty() ? Element("heading_radians", index)
+                                       : Element("quaternions", 4 * index);
   }
   if (absl::ConsumePrefix(&name, "quaternion")) {
     const std::size_t part =
@@ -284,19 +315,19 @@ std::string PoseColumns::ColumnOf(std::size_t index,
   if (name == "covariance.form") return "covariance_form";
   if (absl::ConsumePrefix(&name, "covariance.")) {
     TakeIndex(name, "values", &number);
-    if (!message_.covariances().empty()) {
+    if (!fields_.covariances.empty()) {
       return Element(
           "covariances",
-          BeginOf(message_.covariances_size(), values_, index) + number);
+          BeginOf(fields_.covariances.size(), values_, index) + number);
     }
     std::size_t coordinate = 0;
     while (coordinate + 1 < diagonal_ &&
-           DiagonalIndex(form_, coordinate) < number) {
+           DiagonalIndex(fields_.covariance_form, coordinate) < number) {
       ++coordinate;
     }
     return Element(
         "covariance_diagonals",
-        BeginOf(message_.covariance_diagonals_size(), diagonal_, index) +
+        BeginOf(fields_.covariance_diagonals.size(), diagonal_, index) +
             coordinate);
   }
   return field;
