@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cstddef>
 
+#include "core/geometry/positive_definite.h"
 #include "core/geometry/state_matrix.h"
 #include "core/noise/dead_reckoning.h"
 
@@ -12,12 +13,10 @@ namespace {
 
 template <int D>
 bool NoiseIsAdded(const PoseGraph& graph, NodeIndex earlier, NodeIndex later) {
-  const Node from = graph.node(earlier);
-  const Node to = graph.node(later);
-  const StateMatrix<D> psi = DeadReckoningTransition<D>(from.pose, to.pose);
-  const StateMatrix<D> added =
-      ToMatrix<D>(to.covariance) -
-      psi * ToMatrix<D>(from.covariance) * psi.transpose();
+  const StateMatrix<D> added = ToMatrix<D>(graph.covariance(later)) -
+                               Swung<D>(ToMatrix<D>(graph.covariance(earlier)),
+                                        graph.pose(earlier), graph.pose(later));
+  if (IsClearlyPositiveDefinite<D>(added)) return true;
   const Eigen::LDLT<StateMatrix<D>> ldlt(added);
   return ldlt.info() == Eigen::Success && ldlt.isPositive() &&
          ldlt.vectorD().minCoeff() > 0.0;

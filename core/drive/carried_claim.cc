@@ -45,12 +45,20 @@ bool Falls(const ClaimedPose& before, const ClaimedPose& after) {
          (is <= was && MetersBetween(before, after) >= FrameWatch::kLeapMeters);
 }
 
-// The covariance that a straight step adds. An error of the heading that comes
-// evenly over its length swings half of it, on average.
+// Whether the pose moves so little that the step takes no error back of the
+// claim that falls on it.
+bool IsUnmoved(const ClaimedPose& before, const ClaimedPose& after) {
+  const double given_up =
+      PositionVariance(before.claim) - PositionVariance(after.claim);
+  const double meters = MetersBetween(before, after);
+  return meters * meters < kUnmoved * kUnmoved * 0.5 * given_up;
+}
+
+// The covariance that a straight step of so many metres adds. An error of the
+// heading that comes evenly over its length swings half of it, on average.
 template <int D>
-StateMatrix<D> NoiseOfStep(const Pose& from, const Pose& to, double along,
-                           double across, double heading) {
-  const double meters = std::hypot(to.x - from.x, to.y - from.y);
+StateMatrix<D> NoiseOfStep(const Pose& from, const Pose& to, double meters,
+                           double along, double across, double heading) {
   StateMatrix<D> noise = StateMatrix<D>::Zero();
   noise(0, 0) = along;
   noise(1, 1) = across + heading * meters * meters / 3.0;
@@ -80,7 +88,7 @@ StateMatrix<D> NoiseByVariances(const ClaimedPose& before,
   const double position = std::clamp(missing, least, kMostOfPosition * least);
   constexpr double kAhead = kAlong / (kAlong + kAcross);
   StateMatrix<D> noise =
-      NoiseOfStep<D>(before.pose, after.pose, kAhead * position,
+      NoiseOfStep<D>(before.pose, after.pose, meters, kAhead * position,
                      (1.0 - kAhead) * position, heading);
   if constexpr (D == 4) {
     noise(2, 2) = std::max(0.0, after.claim(2, 2) - before.claim(2, 2));
@@ -92,33 +100,39 @@ template <int D>
 std::optional<CarriedCovariance> CarriedIn(const ClaimedPose& before,
                                            const CarriedCovariance* in_force,
                                            const ClaimedPose& after) {
-  const StateMatrix<D> claimed_before = ToMatrix<D>(before.claim);
-  const StateMatrix<D> carried = Swung<D>(
-      in_force == nullptr ? claimed_before : ToMatrix<D>(in_force->covariance),
-      before.pose, after.pose);
+  const Covariance& source =
+      in_force == nullptr ? before.claim : in_force->covariance;
+  const bool falls = Falls(before, after);
+  const bool is_given_up = falls && IsUnmoved(before, after);
+  // Claims that do not count as they are may go up and down without any reason.
+  if (falls && !is_given_up &&
+      (in_force == nullptr ||
+       MetersBetween(before, after) >= FrameWatch::kLeapMeters)) {
+    return std::nullopt;
+  }
+  const double lever_x = -(after.pose.y - before.pose.y);
+  const double lever_y = after.pose.x - before.pose.x;
+  const bool lacks_lever =
+      LacksLever(after.claim, source(0, 3) + lever_x * source(3, 3),
+                 source(1, 3) + lever_y * source(3, 3));
+  // Most claims count, and nothing more is made of them.
+  if (in_force == nullptr && !lacks_lever && !is_given_up) return std::nullopt;
+  const StateMatrix<D> carried =
+      Swung<D>(ToMatrix<D>(source), lever_x, lever_y);
   const double greatest_heading =
       in_force == nullptr ? before.claim(3, 3) : in_force->greatest_heading;
   const auto with = [&](const StateMatrix<D>& noise) {
     return CarriedCovariance{ToCovariance<D>(Symmetric<D>(carried + noise)),
                              std::max(greatest_heading, after.claim(3, 3))};
   };
-  const bool is_given_up = IsGivenUp(before, after);
-  // Claims that do not count as they are may go up and down without any reason.
-  const bool may_have_fallen =
-      in_force == nullptr ||
-      MetersBetween(before, after) >= FrameWatch::kLeapMeters;
-  if (!is_given_up && may_have_fallen && Falls(before, after)) {
-    return std::nullopt;
-  }
-  if (LacksLever(after.claim, carried(0, D - 1), carried(1, D - 1))) {
+  if (lacks_lever) {
     return with(NoiseByVariances<D>(before, after, greatest_heading, carried));
   }
   if (is_given_up) return with(StateMatrix<D>::Zero());
-  if (in_force == nullptr) return std::nullopt;
   const StateMatrix<D> claimed = ToMatrix<D>(after.claim);
   if (IsPositiveDefinite<D>(claimed - carried)) return std::nullopt;
   StateMatrix<D> noise =
-      claimed - Swung<D>(claimed_before, before.pose, after.pose);
+      claimed - Swung<D>(ToMatrix<D>(before.claim), before.pose, after.pose);
   if (!IsPositiveDefinite<D>(noise)) noise.setZero();
   return with(noise);
 }
@@ -136,11 +150,7 @@ bool LacksLever(const Covariance& claim, double carried_xh, double carried_yh) {
 }
 
 bool IsGivenUp(const ClaimedPose& before, const ClaimedPose& after) {
-  if (!Falls(before, after)) return false;
-  const double given_up =
-      PositionVariance(before.claim) - PositionVariance(after.claim);
-  const double meters = MetersBetween(before, after);
-  return meters * meters < kUnmoved * kUnmoved * 0.5 * given_up;
+  return Falls(before, after) && IsUnmoved(before, after);
 }
 
 std::optional<CarriedCovariance> CarriedClaim(StateSpace space,
