@@ -117,10 +117,11 @@ json IngestRound(const Options& options) {
     int vehicles;
     int batch_poses;
   };
-  for (const Case& one : {Case{1, 64}, Case{1, 1}, Case{8, 64}, Case{8, 1}}) {
-    if (options.batch_poses != 0 && options.batch_poses != one.batch_poses) {
-      continue;
-    }
+  std::vector<Case> cases = {{1, 64}, {1, 1}, {8, 64}, {8, 1}};
+  if (options.batch_poses != 0) {
+    cases = {{1, options.batch_poses}, {8, options.batch_poses}};
+  }
+  for (const Case& one : cases) {
     json entry = {{"vehicles", one.vehicles}, {"batch_poses", one.batch_poses}};
     for (const Kind kind : {Kind::kEmpty, Kind::kRevisit, Kind::kShared}) {
       if (kind == Kind::kShared && options.shared_store.empty()) continue;
