@@ -19,9 +19,10 @@
 namespace revisit::server {
 namespace {
 
-// Poses that a row of a file may gather from small batches of one vehicle: as
-// many as one usual batch holds.
-constexpr std::size_t kRowPoses = 64;
+// Poses that a row of a file may gather from batches of one vehicle that wait
+// together: pages are full of rows of several pages, and a third empty behind
+// one usual batch. Who reads one pose reads its row, so they are not more.
+constexpr std::size_t kRowPoses = 512;
 
 StoreUse UseOf(const std::string& file) {
   return StoreLock::IsHeld(file) ? StoreUse::kServed : StoreUse::kIdle;
