@@ -103,13 +103,17 @@ def test_try_append_takes_all_poses_or_none(server, client, new_vehicle):
     assert len(client.poses(vehicle)) == 20
 
 
-def test_bytes_bound_what_is_held_as_poses_do(server, client, new_vehicle, in_thread):
+@pytest.mark.parametrize("form", [lambda poses: poses,
+                                  lambda poses: list(poses.to_messages())],
+                         ids=["arrays", "messages"])
+def test_bytes_bound_what_is_held_as_poses_do(server, client, new_vehicle, in_thread,
+                                              form):
     vehicle = new_vehicle()
     with client.stream_poses(vehicle, StreamOptions(max_pending_bytes=5000)) as stream:
         stream.wait_until_opened(LONG)
         os.kill(server.pid, signal.SIGSTOP)
         try:
-            done = in_thread(stream.append, straight(500))
+            done = in_thread(stream.append, form(straight(500)))
             wait_until(lambda: stream.pending_bytes > 4500, "full stream")
             time.sleep(0.2)
             assert stream.pending_bytes <= 5000
@@ -119,7 +123,7 @@ def test_bytes_bound_what_is_held_as_poses_do(server, client, new_vehicle, in_th
     assert len(client.poses(vehicle)) == 500
     with client.stream_poses(vehicle, StreamOptions(max_pending_bytes=10)) as stream:
         with pytest.raises(revisit.InvalidArgument, match="sequence 501 takes"):
-            stream.append(straight(1, first=501))
+            stream.append(form(straight(1, first=501)))
 
 
 def test_a_server_that_stands_still_is_left_for_a_new_connection(

@@ -138,6 +138,7 @@ class StreamState:
         self.check_open()
         first = self.last_taken + 1 if self.last_taken > 0 else max(
             int(sequences[0]), 1)
+        # Spares most streams of single poses the arrays.
         if len(sequences) == 1 and sequences[0] == first:
             return
         expected = np.arange(first, first + len(sequences), dtype=np.uint64)
