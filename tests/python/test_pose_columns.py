@@ -297,6 +297,36 @@ def test_arrays_come_as_columns(server, new_vehicle, monkeypatch):
         assert identical(asyncio.run(read()), poses)
 
 
+def test_the_graph_is_the_same_after_the_server_was_killed(restarted, boreas,
+                                                          in_thread):
+    poses, _ = boreas
+    rng = random.Random(SEED)
+    with revisit.Client(restarted.address) as client:
+        for name in ("undisturbed", "survivor"):
+            client.create_vehicle(name)
+        with client.stream_poses("undisturbed") as stream:
+            stream.append(poses.to_messages())
+        options = StreamOptions(batch_poses=32, max_pending_poses=200, **QUICK)
+        with client.stream_poses("survivor", options) as stream:
+            def append_all():
+                for part in split(rng, poses, (1, 50, 150)):
+                    stream.append(part if rng.random() < 0.7
+                                  else list(part.to_messages()))
+                stream.finish()
+
+            done = in_thread(append_all)
+            for acked in (300, 900, 1500):
+                wait_until(lambda: stream.acked_sequence >= acked, "progress", LONG)
+                restarted.kill()
+                restarted.start()
+            done()
+            assert stream.reconnects > 0
+        stub = restarted.server.stub()
+        assert graph_of(stub, "vehicles/survivor") == graph_of(
+            stub, "vehicles/undisturbed")
+        assert as_bytes(client.list_poses("survivor")) == as_bytes(poses.to_messages())
+
+
 # Servers that do not know columns.
 
 
