@@ -55,6 +55,7 @@ void Encode(const std::string& vehicle_id, std::uint64_t check_sequence,
   message->set_actor(candidate.actor);
   EncodeTime(candidate.update_time_ns, message->mutable_update_time());
   message->set_event_number(candidate.event_number);
+  if (!candidate.group.empty()) message->set_group(GroupName(candidate.group));
   const bool is_contradicted =
       candidate.cause == CandidateCause::kContradiction;
   const std::string& decision =

@@ -1,6 +1,7 @@
 #include "server/sessions/link_decisions.h"
 
 #include <algorithm>
+#include <iterator>
 #include <utility>
 
 #include "absl/status/status.h"
@@ -26,25 +27,52 @@ CandidateCause CauseBy(const CheckGroup::Link& link) {
 
 bool LinkDecisions::MayLook() const {
   return scopes_ != nullptr && changes_->MayWork() &&
-         changes_->HasCandidates() &&
-         !vehicle_->head.config().check_group.empty();
+         changes_->HasCandidates() && !watched_.empty();
 }
 
-void LinkDecisions::LookAt(std::uint64_t check_sequence) {
-  new_from_ = std::min(new_from_.value_or(check_sequence), check_sequence);
-  asks_ = true;
+void LinkDecisions::FollowSettings() {
+  const std::string& searched = vehicle_->head.config().check_group;
+  for (auto it = watched_.begin(); it != watched_.end();) {
+    const bool decides = it->second.has_candidates || it->first == searched;
+    it = decides ? std::next(it) : watched_.erase(it);
+  }
+  if (!searched.empty()) watched_.try_emplace(searched);
+}
+
+void LinkDecisions::LookAgain() {
+  for (auto& [group, watched] : watched_) watched.asks = true;
+}
+
+void LinkDecisions::Note(const StoredCandidate& candidate) {
+  if (candidate.is_own() || candidate.group.empty()) return;
+  watched_[candidate.group].has_candidates = true;
+}
+
+void LinkDecisions::LookAt(std::uint64_t check_sequence,
+                           const StoredCandidate& candidate) {
+  if (candidate.is_own() || candidate.group.empty()) return;
+  Watched& watched = watched_[candidate.group];
+  watched.has_candidates = true;
+  watched.asks = true;
+  watched.new_from =
+      std::min(watched.new_from.value_or(check_sequence), check_sequence);
 }
 
 void LinkDecisions::Consider() {
+  if (scopes_ == nullptr) return;
+  FollowSettings();
   is_watching_.store(MayLook());
-  if (!asks_ || is_at_work_ || !MayLook()) return;
+  if (is_at_work_ || !MayLook()) return;
+  const auto next =
+      std::find_if(watched_.begin(), watched_.end(),
+                   [](const auto& entry) { return entry.second.asks; });
+  if (next == watched_.end()) return;
   is_at_work_ = true;
-  asks_ = false;
-  Ask();
+  next->second.asks = false;
+  Ask(next->first);
 }
 
-void LinkDecisions::Ask() {
-  const std::string& group = vehicle_->head.config().check_group;
+void LinkDecisions::Ask(const std::string& group) {
   group_id_ = group;
   scopes_->ReadGroup({group, vehicle_->id, vehicle_->head.key()},
                      queue_->AnswerOnStrand<CheckGroupPtr>(
@@ -53,24 +81,32 @@ void LinkDecisions::Ask() {
                              Take(*std::move(answer));
                            } else {
                              // The next look asks again.
-                             is_at_work_ = false;
+                             EndLook();
                            }
                          }));
 }
 
+void LinkDecisions::EndLook() {
+  is_at_work_ = false;
+  Consider();
+}
+
 void LinkDecisions::Take(CheckGroupPtr group) {
-  const bool knew = basis_->knows_ties();
-  const CheckBasis::Version before = basis_->version();
-  basis_->Learn(group_id_, group->ties);
-  if (!knew || basis_->version() != before) learned_();
-  const bool is_seen = looked_ && looked_->group == group_id_ &&
-                       looked_->version == group->version;
-  if (is_seen && !new_from_) {
-    is_at_work_ = false;
+  if (group_id_ == vehicle_->head.config().check_group) {
+    const bool knew = basis_->knows_ties();
+    const CheckBasis::Version before = basis_->version();
+    basis_->Learn(group_id_, group->ties);
+    if (!knew || basis_->version() != before) learned_();
+  }
+  Watched& watched = watched_[group_id_];
+  const bool is_seen =
+      watched.is_looked_at && watched.version == group->version;
+  if (is_seen && !watched.new_from) {
+    EndLook();
     return;
   }
-  look_from_ = is_seen ? *new_from_ : 1;
-  new_from_.reset();
+  look_from_ = is_seen ? *watched.new_from : 1;
+  watched.new_from.reset();
   group_ = std::move(group);
   LookAtNextPage();
 }
@@ -82,11 +118,11 @@ void LinkDecisions::LookAtNextPage() {
                  LookAtNextPage();
                  return;
                }
-               is_at_work_ = false;
-               looked_.reset();
-               if (ok) looked_ = Seen{group_id_, group_->version};
+               Watched& watched = watched_[group_id_];
+               watched.is_looked_at = ok;
+               watched.version = group_->version;
                group_.reset();
-               if (ok) Consider();
+               EndLook();
              });
 }
 
@@ -103,11 +139,11 @@ absl::StatusOr<ChecksWrite> LinkDecisions::LookAtPage() {
   return write;
 }
 
-void LinkDecisions::LookAt(const CheckRecord& record,
-                           ChecksWrite* write) const {
+void LinkDecisions::LookAt(const CheckRecord& record, ChecksWrite* write) {
   std::optional<StoredCheck> check = changes_->Read(record);
   if (!check) return;
   for (std::size_t i = 0; i < check->candidates.size(); ++i) {
+    Note(check->candidates[i]);
     const auto transition = Judge(record.sequence, check->candidates[i]);
     if (transition) changes_->Change(record, &*check, i, *transition, write);
   }
@@ -115,7 +151,7 @@ void LinkDecisions::LookAt(const CheckRecord& record,
 
 std::optional<CandidateTransition> LinkDecisions::Judge(
     std::uint64_t check_sequence, const StoredCandidate& candidate) const {
-  // Candidates that were found in another group, or in none, stay as they are.
+  // Another group decides, or none that is known.
   if (candidate.is_own() || candidate.group != group_id_) return std::nullopt;
   const bool was_decided = candidate.state == CandidateState::kConfirmed ||
                            candidate.state == CandidateState::kRejected;

@@ -1,14 +1,14 @@
-// Decides on stored candidates in the histories of other vehicles by their
-// group: loop closures between the two vehicles confirm those at
-// their places, rejected candidates reject them, and those of vehicles that are
-// members no more are withdrawn.
+// Decides on stored candidates in the histories of other vehicles by the group
+// in which each was found, whichever one checks search in since: loop closures
+// between the two vehicles confirm those at their places, rejected candidates
+// reject them, and those of vehicles that are members no more are withdrawn.
 //
 // Any server writes a group, so the one that has the vehicle looks from time to
-// time whether the group was changed, and then through the rows, a page at a
+// time whether a group was changed, and then through the rows, a page at a
 // time, between other work of the vehicle. What is to be changed follows from
 // the rows and the group, so whoever loads the vehicle comes to the same, and
-// nothing is told twice. What the group says is told to the basis of checks
-// too.
+// nothing is told twice. What the group says in which checks search is told to
+// the basis of checks too.
 #ifndef REVISIT_SERVER_SESSIONS_LINK_DECISIONS_H_
 #define REVISIT_SERVER_SESSIONS_LINK_DECISIONS_H_
 
@@ -16,6 +16,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <map>
 #include <optional>
 #include <string>
 #include <utility>
@@ -55,24 +56,39 @@ class LinkDecisions {
   void Consider();
   // Whether LookAgain() is to be called from time to time. From any thread.
   bool is_watching() const { return is_watching_.load(); }
-  // The group may have been changed.
-  void LookAgain() { asks_ = true; }
-  // A check at this pose was stored, or has more candidates.
-  void LookAt(std::uint64_t check_sequence);
+  // Groups may have been changed.
+  void LookAgain();
+  // A row has this candidate. Call for each row that is read anyway: so the
+  // groups are known of which there are candidates.
+  void Note(const StoredCandidate& candidate);
+  // The check at this pose was stored with this candidate, or has it since.
+  void LookAt(std::uint64_t check_sequence, const StoredCandidate& candidate);
 
  private:
-  // A group that was looked at, as of a version.
-  struct Seen {
-    std::string group;
+  // A group that decides.
+  struct Watched {
+    // Whether it is to be asked for.
+    bool asks = true;
+    // Whether a stored candidate was found in it.
+    bool has_candidates = false;
+    // Whether all rows were looked at as of a version, but for those from
+    // `new_from` on.
+    bool is_looked_at = false;
     std::optional<GroupVersion> version;
+    std::optional<std::uint64_t> new_from;
   };
 
   bool MayLook() const;
-  void Ask();
+  // Watches the group in which checks search, and no other one unless a
+  // candidate was found there.
+  void FollowSettings();
+  void Ask(const std::string& group);
   void Take(CheckGroupPtr group);
+  // Goes on with another group.
+  void EndLook();
   void LookAtNextPage();
   absl::StatusOr<ChecksWrite> LookAtPage();
-  void LookAt(const CheckRecord& record, ChecksWrite* write) const;
+  void LookAt(const CheckRecord& record, ChecksWrite* write);
   // The state into which the group has a candidate come, if it is another one.
   std::optional<CandidateTransition> Judge(
       std::uint64_t check_sequence, const StoredCandidate& candidate) const;
@@ -90,12 +106,10 @@ class LinkDecisions {
   const std::function<void()> learned_;
   CheckSteps steps_;
 
-  // Whether the group is to be asked for, and whether a look is under way.
-  bool asks_ = true;
+  // By id.
+  std::map<std::string, Watched> watched_;
+  // A group is asked for, or looked at.
   bool is_at_work_ = false;
-  // As of which all rows were looked at, but for those from `new_from_` on.
-  std::optional<Seen> looked_;
-  std::optional<std::uint64_t> new_from_;
   // ---- The look
   std::string group_id_;
   CheckGroupPtr group_;

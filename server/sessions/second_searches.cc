@@ -174,6 +174,7 @@ void SecondSearches::LookAt(const CheckRecord& record,
   double value = 0.0;
   for (std::size_t i = 0; i < check->candidates.size(); ++i) {
     StoredCandidate& candidate = check->candidates[i];
+    links_->Note(candidate);
     // Links between vehicles have ids of their own.
     if (candidate.is_own() && candidate.state == CandidateState::kConfirmed &&
         candidate.contradicted != candidate.decision &&
@@ -226,6 +227,7 @@ void SecondSearches::EndLook() {
   looked_ = looks_at_;
   is_at_work_ = false;
   NoteStale(waiting_.size());
+  links_->Consider();
   Consider();
 }
 
@@ -400,7 +402,7 @@ absl::StatusOr<ChecksWrite> SecondSearches::Compare(const Answer& answer) {
     late.value = changes_->ValueOf(record.sequence, late, &reductions);
     changes_->Tell(record.sequence, &*check, check->candidates.size() - 1,
                    &write);
-    if (!late.is_own()) links_->LookAt(record.sequence);
+    links_->LookAt(record.sequence, late);
   }
   check->basis =
       basis_->Of(record.sequence, check->candidates,

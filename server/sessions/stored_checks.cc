@@ -289,11 +289,9 @@ void StoredChecks::TakeResult(const ChecksHead& after,
 
 void StoredChecks::LookAtLinks(const ChecksHead& after) {
   for (const Made& made : made_) {
-    const auto& found = made.check.candidates;
-    if (made.sequence <= after.checked_sequence &&
-        !std::all_of(found.begin(), found.end(),
-                     [](const auto& one) { return one.is_own(); })) {
-      links_.LookAt(made.sequence);
+    if (made.sequence > after.checked_sequence) break;
+    for (const StoredCandidate& candidate : made.check.candidates) {
+      links_.LookAt(made.sequence, candidate);
     }
   }
 }

@@ -262,6 +262,58 @@ def test_links_decide_on_what_was_found_once_and_until_they_go(tmp_path, drive):
             assert told_of(stub, cursor, name) == [OPEN, state, UNDONE, GONE]
 
 
+def search_in(stub, checked, group):
+    stub.UpdateVehicle(api.UpdateVehicleRequest(
+        vehicle=api.Vehicle(name=checked, settings=api.VehicleSettings(
+            check_group=group)),
+        update_mask=field_mask_pb2.FieldMask(paths=["settings.check_group"])))
+
+
+def test_the_group_in_which_it_was_found_decides_whichever_is_searched_since(
+        tmp_path, drive):
+    store = tmp_path / "store"
+    with Server(store, log_path=tmp_path / "first.log") as server:
+        stub = server.stub()
+        checked, group = make_pair(stub, drive)
+        cursor = first_cursor(stub)
+        send(stub, checked, poses_of(drive, CHECKED))
+        wait_until_paid(stub, checked)
+        checks = list_checks(stub, checked)[0]
+        for check in checks:
+            for state in check.states:
+                is_own = not evidence_of(check, state).matched_vehicle
+                assert state.group == ("" if is_own else group)
+        for event in told_since(stub, cursor, sum(len(check.states)
+                                                  for check in checks)):
+            assert event.candidate.group == (
+                group if event.evidence.matched_vehicle else "")
+        found = in_other(checks)
+        (_, tied, evidence), (_, unsaid, elsewhere) = found[len(found) // 2], found[-1]
+        ends = ((evidence.matched_vehicle, evidence.matched.sequence),
+                (checked, evidence.query.sequence))
+        another = create_group(stub, "another").name
+        for vehicle in (OTHER, CHECKED):
+            add_member(stub, another, name_of(vehicle), datum_of(FRAMES[vehicle]))
+        search_in(stub, checked, another)
+        # What another group says is about what was found there.
+        add_link(stub, another, (elsewhere.matched_vehicle,
+                                 elsewhere.matched.sequence),
+                 (checked, elsewhere.query.sequence))
+        link = add_link(stub, group, *ends).loop_closure.name
+        assert wait_for_state(stub, tied.name, *CONFIRMED).decision == link
+        assert state_of(stub, unsaid.name).state != api.CANDIDATE_STATE_CONFIRMED
+    # Whoever loads the vehicle finds the group by its candidates, also where none
+    # is searched.
+    with Server(store, log_path=tmp_path / "second.log") as server:
+        stub = server.stub()
+        search_in(stub, checked, "")
+        delete_link(stub, link)
+        assert not wait_for_state(stub, tied.name, *UNDONE).decision
+        rejection = reject(stub, group, *reversed(ends)).rejected_candidate.name
+        decided = wait_for_state(stub, tied.name, *REJECTED)
+        assert (decided.decision, decided.group) == (rejection, group)
+
+
 def test_without_a_membership_the_own_history_alone_is_searched(tmp_path, drive):
     with Server(tmp_path / "store") as server:
         stub = server.stub()

@@ -54,7 +54,7 @@ class FakeScopes final : public CheckScopes {
     then(std::move(answer));
   }
 
-  void ReadGroup(const Request&, ThenGroup then) override {
+  void ReadGroup(const Request& request, ThenGroup then) override {
     ++groups_read_;
     absl::StatusOr<CheckGroupPtr> group;
     {
@@ -63,7 +63,7 @@ class FakeScopes final : public CheckScopes {
         held_.push_back(std::move(then));
         return;
       }
-      group = group_;
+      group = request.group == "another" ? another_ : group_;
     }
     then(std::move(group));
   }
@@ -77,6 +77,12 @@ class FakeScopes final : public CheckScopes {
     group.ties = std::make_shared<const CheckTies>(std::move(ties));
     group_ = std::make_shared<const CheckGroup>(std::move(group));
     return *group_;
+  }
+  // What the group `another` says, which is not there unless this was called.
+  void SetAnother(CheckGroup group) {
+    const std::lock_guard<std::mutex> guard(mutex_);
+    group.version = GroupVersion{"uid-of-another", ++revision_};
+    another_ = std::make_shared<const CheckGroup>(std::move(group));
   }
   // Until ReleaseGroups() nobody is told what the group says.
   void HoldGroups() {
@@ -116,6 +122,7 @@ class FakeScopes final : public CheckScopes {
       absl::UnavailableError("the group is not ready");
   absl::StatusOr<CheckGroupPtr> group_ =
       absl::UnavailableError("the store cannot be reached");
+  CheckGroupPtr another_ = std::make_shared<const CheckGroup>();
   bool holds_groups_ = false;
   std::vector<ThenGroup> held_;
   std::uint64_t revision_ = 0;
@@ -238,6 +245,27 @@ class GroupChecksTest : public StoredChecksTest {
     std::vector<InVan> found = AllInVan();
     EXPECT_THAT(found, Not(IsEmpty()));
     return found;
+  }
+
+  // From now on checks search in this group; empty for none.
+  void SearchIn(const std::string& group) {
+    EXPECT_THAT(UpdateNow(*session_,
+                          [group](const VehicleView& view) {
+                            VehicleConfig config = view.config;
+                            config.check_group = group;
+                            return absl::StatusOr<VehicleConfig>(config);
+                          }),
+                IsOk());
+  }
+
+  // A loop closure at the places of a candidate.
+  static CheckGroup::Link LinkAt(const InVan& one) {
+    CheckGroup::Link link;
+    link.id = "a";
+    link.own_sequence = one.id.check_sequence;
+    link.other_uid = "uid-of-van";
+    link.other_sequence = one.candidate.matched_sequence;
+    return link;
   }
 
   // Whether what the group says comes to hold.
@@ -659,15 +687,10 @@ TEST_F(GroupChecksTest, AGroupThatIsGoneLeavesNothingOpen) {
 }
 
 TEST_F(GroupChecksTest, AnotherGroupSaysNothingOfWhatWasFound) {
-  FindInVan();
-  ASSERT_THAT(UpdateNow(*session_,
-                        [](const VehicleView& view) {
-                          VehicleConfig config = view.config;
-                          config.check_group = "another";
-                          return absl::StatusOr<VehicleConfig>(config);
-                        }),
-              IsOk());
-  scopes_.SetNoGroup();
+  const std::vector<InVan> found = FindInVan();
+  scopes_.SetGroup(WithMembers());
+  SearchIn("another");
+  scopes_.SetAnother(WithMembers({LinkAt(found.front())}));
   const std::size_t told = Events().size();
   Reload();
   for (int i = 0; i < 3; ++i) {
@@ -677,6 +700,53 @@ TEST_F(GroupChecksTest, AnotherGroupSaysNothingOfWhatWasFound) {
   CloseNow(*session_);
   EXPECT_EQ(Events().size(), told);
   session_ = Load();
+}
+
+TEST_F(GroupChecksTest, TheGroupInWhichItWasFoundDecidesAboutACandidate) {
+  const std::vector<InVan> found = FindInVan();
+  const CheckGroup::Link link = LinkAt(found.front());
+  const auto has_state = [&](CandidateState state) {
+    return [&found, state](const InVan& one) {
+      return one.id.check_sequence != found.front().id.check_sequence ||
+             one.id.number != found.front().id.number ||
+             one.candidate.state == state;
+    };
+  };
+  scopes_.SetGroup(WithMembers());
+  for (const char* const searched : {"another", ""}) {
+    SearchIn(searched);
+    scopes_.SetGroup(WithMembers({link}));
+    EXPECT_TRUE(ComesToHold(has_state(CandidateState::kConfirmed))) << searched;
+    EXPECT_EQ(AllInVan().front().candidate.decision, "a");
+    // Whoever loads the vehicle finds the group by its candidates.
+    Reload();
+    scopes_.SetGroup(WithMembers());
+    EXPECT_TRUE(ComesToHold(has_state(CandidateState::kOpen))) << searched;
+  }
+  scopes_.SetNoGroup();
+  EXPECT_TRUE(ComesToHold(has_state(CandidateState::kWithdrawn)));
+}
+
+TEST_F(GroupChecksTest, AGroupWithoutCandidatesIsAskedForNoMoreOnceLeft) {
+  scopes_.Answer(CheckScopePtr());
+  scopes_.SetGroup(WithMembers());
+  Create(GroupConfig());
+  ASSERT_THAT(AppendNow(*session_, SquareBatch(1, kPoses)), IsOk());
+  ASSERT_TRUE(IsPaid());
+  ASSERT_THAT(Events(), Not(IsEmpty()));
+  const auto look = [this] {
+    session_->GoOnWithChecks();
+    ReadNow(*session_).IgnoreError();
+  };
+  look();
+  const int searched = scopes_.groups_read();
+  look();
+  ASSERT_GT(scopes_.groups_read(), searched);
+  SearchIn("");
+  look();
+  const int left = scopes_.groups_read();
+  for (int i = 0; i < 3; ++i) look();
+  EXPECT_EQ(scopes_.groups_read(), left);
 }
 
 }  // namespace
