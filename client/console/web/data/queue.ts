@@ -40,6 +40,9 @@ export interface Waiting {
   actor: string;
   /** Name of the loop closure or the rejected candidate that decided. */
   decision: string;
+  /** `groups/{group}` in which a match in another vehicle was found; empty of
+   * others, and where the server did not say. */
+  group: string;
   /** Events up to this one tell nothing new about it. */
   eventNumber: bigint;
   /** When the check found it, in milliseconds since 1970. */
@@ -52,12 +55,12 @@ export type Order = 'value'|'newest'|'probable';
 
 function waiting(vehicleUid: string, candidate: CheckCandidate,
                  evidence: Candidate, found: number): Waiting {
-  const {name, state, cause, actor, decision, eventNumber, latestRank,
+  const {name, state, cause, actor, decision, eventNumber, group, latestRank,
          valueSquareMeters} = candidate;
   const [, vehicle, , asked] = name.split('/');
   return {key: `${vehicleUid} ${name}`, name, vehicle, vehicleUid,
           asked: Number(asked), evidence, state, cause, actor, decision,
-          eventNumber, found, left: undefined,
+          eventNumber, group, found, left: undefined,
           // The first search is the last one until there is another.
           told: cause === CandidateCause.CHECK && !latestRank ? evidence :
                                                                 undefined,

@@ -51,16 +51,17 @@ async function rejectOwn(one: Waiting): Promise<Made> {
   return {act: 'reject', made: rejectedCandidate!.name, deleted};
 }
 
-/** The group in which the checks of a vehicle search now: only what is decided
- * in it counts for them. */
-async function checkGroupOf(id: string): Promise<string> {
+/** The group that decides about a candidate: that in which it was found, or,
+ * where the server did not keep that, in which the vehicle's checks search. */
+async function groupOf({group, vehicle: id}: Waiting): Promise<string> {
+  if (group) return group;
   const {vehicle} = await service.getVehicle({name: `vehicles/${id}`});
-  const group = vehicle!.settings?.checkGroup;
-  if (!group) {
+  const searched = vehicle!.settings?.checkGroup;
+  if (!searched) {
     throw new ConnectError(`the checks of ${id} search in no group any more`,
                            Code.FailedPrecondition);
   }
-  return group;
+  return searched;
 }
 
 /** Decides about a candidate, wherever its match lies. */
@@ -70,8 +71,7 @@ export async function decideAbout(act: 'confirm'|'reject', one: Waiting):
     return act === 'confirm' ? confirmOwn(one) : rejectOwn(one);
   }
   const decide = act === 'confirm' ? link : reject;
-  const {name} = await decide(await checkGroupOf(one.vehicle), posesOf(one),
-                              '');
+  const {name} = await decide(await groupOf(one), posesOf(one), '');
   return {act, made: name};
 }
 
