@@ -10,6 +10,7 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
+#include "google/protobuf/arena.h"
 #include "revisit/v1/candidate.pb.h"
 #include "server/base/status.h"
 #include "server/conversion/answers.h"
@@ -127,10 +128,12 @@ std::string ProtoCheckCodec::EncodeFound(const VehicleView& view,
                                          const core::CandidateSet& set,
                                          std::chrono::nanoseconds duration,
                                          const CheckScope* scope) const {
-  v1::CandidateSet message;
+  google::protobuf::Arena arena;
+  auto* const message =
+      google::protobuf::Arena::CreateMessage<v1::CandidateSet>(&arena);
   EncodeCandidateSet(view, set, /*include_aligned_path=*/false, duration,
-                     &message, scope == nullptr ? nullptr : scope->group.get());
-  return message.SerializeAsString();
+                     message, scope == nullptr ? nullptr : scope->group.get());
+  return message->SerializeAsString();
 }
 
 std::string ProtoCheckCodec::EncodeCheck(const StoredCheck& check) const {
