@@ -371,10 +371,13 @@ TEST_F(StoredChecksTest, AFleetPaysForVehiclesThatNobodyAsksFor) {
       return memory_.ListUnchecked(0, 9)->empty();
     }));
     EXPECT_THAT(Checks(), ::testing::Not(IsEmpty()));
-    // It is let go again.
+    // It is let go again once it has heard that all is stored.
     fleet.PayChecks();
-    fleet.UnloadIdle(std::chrono::steady_clock::now() + std::chrono::hours(1));
-    EXPECT_EQ(fleet.loaded(), 0u);
+    EXPECT_TRUE(Eventually([&fleet] {
+      fleet.UnloadIdle(std::chrono::steady_clock::now() +
+                       std::chrono::hours(1));
+      return fleet.loaded() == 0;
+    }));
   }
   session_ = Load();
   ASSERT_TRUE(IsPaid());
