@@ -31,7 +31,7 @@ using ::testing::ElementsAre;
 using ::testing::ElementsAreArray;
 using ::testing::HasSubstr;
 
-constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+constexpr double kNoNumber = std::numeric_limits<double>::quiet_NaN();
 
 absl::StatusOr<DecodedBatch> DecodeColumns(const v1::PoseColumns& columns,
                                            const VehicleConfig& config) {
@@ -243,7 +243,7 @@ std::vector<v1::Pose> MessagesOf(const v1::PoseColumns& message) {
 TEST(PoseColumnsTest, AreRefusedWhereverTheMessagesThatSayTheSameAre) {
   std::mt19937_64 random = SeededRandom();
   constexpr double kInfinity = std::numeric_limits<double>::infinity();
-  const std::vector<double> numbers = {kNan,  kInfinity, -1.0, 0.0,   1e-300,
+  const std::vector<double> numbers = {kNoNumber,  kInfinity, -1.0, 0.0,   1e-300,
                                        1.001, 1e7,       1e10, 1e300, -1e9};
   int refused = 0;
   for (int trial = 0; trial < 5000; ++trial) {
@@ -383,7 +383,7 @@ TEST(PoseColumnsTest, OfTwoColumnsThatSayTheSameOneIsRequired) {
 }
 
 TEST(PoseColumnsTest, AWrongNumberIsNamedByItsPlaceInItsColumn) {
-  ExpectRefused([](v1::PoseColumns* c) { c->set_x_meters(1, kNan); },
+  ExpectRefused([](v1::PoseColumns* c) { c->set_x_meters(1, kNoNumber); },
                 "NOT_FINITE", {"x_meters[1]"});
   ExpectRefused([](v1::PoseColumns* c) { c->set_heading_radians(2, 1e9); },
                 "INVALID_FIELD", {"heading_radians[2]"});
@@ -391,7 +391,7 @@ TEST(PoseColumnsTest, AWrongNumberIsNamedByItsPlaceInItsColumn) {
                 "INVALID_FIELD", {"first_sequence"});
   // One that all poses have is named once.
   ExpectRefused(
-      [](v1::PoseColumns* c) { c->set_covariance_diagonals(2, kNan); },
+      [](v1::PoseColumns* c) { c->set_covariance_diagonals(2, kNoNumber); },
       "NOT_FINITE", {"covariance_diagonals[2]"});
   ExpectRefused(
       [](v1::PoseColumns* c) {
@@ -404,21 +404,21 @@ TEST(PoseColumnsTest, AWrongNumberIsNamedByItsPlaceInItsColumn) {
         c->clear_covariance_diagonals();
         for (int i = 0; i < 18; ++i) {
           const bool is_variance = i % 6 == 0 || i % 6 == 3 || i % 6 == 5;
-          c->add_covariances(i == 7 ? kNan : is_variance ? 1.0 : 0.0);
+          c->add_covariances(i == 7 ? kNoNumber : is_variance ? 1.0 : 0.0);
         }
       },
       "NOT_FINITE", {"covariances[7]"});
   ExpectRefused(
       [](v1::PoseColumns* c) {
         c->clear_heading_radians();
-        for (int i = 0; i < 12; ++i) c->add_quaternions(i == 6 ? kNan : 0.5);
+        for (int i = 0; i < 12; ++i) c->add_quaternions(i == 6 ? kNoNumber : 0.5);
       },
       "NOT_FINITE", {"quaternions[6]"});
   ExpectRefused(
       [](v1::PoseColumns* c) {
         c->set_first_sequence(1);
         for (int i = 0; i < 18; ++i)
-          c->add_error_transitions(i == 9 ? kNan : 1);
+          c->add_error_transitions(i == 9 ? kNoNumber : 1);
       },
       "NOT_FINITE", {"error_transitions[9]"}, Filter(Planar()));
   ExpectRefused(
