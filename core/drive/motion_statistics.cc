@@ -17,8 +17,7 @@ namespace {
 // R^T m R with R the turn by `heading` about z.
 template <int D>
 StateMatrix<D> InVehicleAxes(const StateMatrix<D>& m, double heading) {
-  const StateMatrix<D> r = TurnAbout<D>(heading);
-  return r.transpose() * m * r;
+  return Turned<D>(m, std::cos(heading), -std::sin(heading));
 }
 
 template <int D>

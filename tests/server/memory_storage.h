@@ -33,6 +33,7 @@ class MemoryStorage : public Storage {
                      std::optional<std::string> vehicle_payload,
                      Done done) override;
   std::size_t MostBatchBytes() const override { return most_batch_bytes_; }
+  bool KeepsColumns() const override { return keeps_columns_; }
   void ReviseBatches(VehicleKey key, BatchSource batches,
                      std::uint64_t revision, Done done) override;
   void ReplaceBatches(VehicleKey key, std::vector<BatchVersions> batches,
@@ -63,6 +64,8 @@ class MemoryStorage : public Storage {
 
   // The answer of MostBatchBytes().
   void SetMostBatchBytes(std::size_t bytes) { most_batch_bytes_ = bytes; }
+  // The answer of KeepsColumns().
+  void SetKeepsColumns(bool keeps) { keeps_columns_ = keeps; }
   // As found by every read from now on.
   void DamageVehicle(const std::string& id);
   // This pose as it was sent and as it is now.
@@ -133,6 +136,7 @@ class MemoryStorage : public Storage {
   static VehicleRecord Complete(const Vehicle& vehicle);
 
   std::size_t most_batch_bytes_ = Storage::MostBatchBytes();
+  bool keeps_columns_ = true;
   std::mutex mutex_;
   VehicleKey last_key_ = 0;
   std::map<VehicleKey, Vehicle> vehicles_;

@@ -16,6 +16,7 @@ namespace {
 
 constexpr std::int64_t kSecond = 1'000'000'000;
 constexpr char kRecording[] = "recording ";
+constexpr char kColumns[] = "columns";
 
 absl::Status Damaged() { return absl::DataLossError("not a plain record"); }
 
@@ -40,7 +41,9 @@ bool ReadDouble(std::istream& stream, double* value) {
 std::vector<std::string> Lines(const std::string& payload) {
   std::vector<std::string> lines;
   std::istringstream stream(payload);
-  for (std::string line; std::getline(stream, line);) lines.push_back(line);
+  for (std::string line; std::getline(stream, line);) {
+    if (line != kColumns) lines.push_back(line);
+  }
   return lines;
 }
 
@@ -183,7 +186,9 @@ absl::StatusOr<std::vector<std::uint64_t>> PlainCodec::Fingerprints(
 }
 
 absl::StatusOr<std::string> PlainCodec::AsMessages(std::string payload) const {
-  return payload;
+  const std::string columns = std::string(kColumns) + "\n";
+  return payload.rfind(columns, 0) == 0 ? payload.substr(columns.size())
+                                        : payload;
 }
 
 std::string PlainCodec::EncodeDropped(

@@ -19,9 +19,9 @@ namespace revisit::server {
 // A vehicle is a line with some of its settings, a batch a line for each pose:
 // sequence, x, y, heading, and the stamp in seconds where that is not the
 // sequence; behind the word "recording" where it begins one, of which nothing
-// is known. Doubles are written so that they read back exactly. For a geodetic
-// vehicle x and y count from the first pose, whose place is the origin's
-// latitude and longitude.
+// is known. A batch of columns begins with the line "columns". Doubles are
+// written so that they read back exactly. For a geodetic vehicle x and y count
+// from the first pose, whose place is the origin's latitude and longitude.
 class PlainCodec : public RecordCodec {
  public:
   std::string EncodeVehicle(const VehicleConfig& config) const override;

@@ -69,6 +69,30 @@ void LeaveOutCrossTerms(Covariance* covariance) {
   (*covariance)(0, 1) = (*covariance)(0, 3) = (*covariance)(1, 3) = 0.0;
 }
 
+// What is left out is told by the covariances that the claim before has and
+// those that its swing makes of them together, in x as in y.
+TEST(CarriedClaimTest, ALeverOfTheClaimBeforeIsCarriedOnWithItsSwing) {
+  for (const StateSpace space : {StateSpace::kPlanar, StateSpace::kSpatial}) {
+    for (const double sign : {1.0, -1.0}) {
+      ClaimedPose before;
+      for (int i = 0; i < 3; ++i) before.claim(i, i) = 100.0;
+      before.claim(3, 3) = 1e-4;
+      ClaimedPose after = before;
+      // The swing of 10 m makes a covariance of 1e-3.
+      ClaimedPose ahead = before;
+      before.claim(0, 3) = sign * 1e-3;
+      ahead.claim(1, 3) = sign * 1e-3;
+      after.pose.y = -10.0;
+      ClaimedPose behind = after;
+      behind.pose = {10.0, 0.0, 0.0, 0.0};
+      EXPECT_EQ(CarriedClaim(space, before, nullptr, after).has_value(),
+                sign > 0.0);
+      EXPECT_EQ(CarriedClaim(space, ahead, nullptr, behind).has_value(),
+                sign > 0.0);
+    }
+  }
+}
+
 TEST(CarriedClaimTest, ClaimsOfDeadReckoningCountAsTheyAre) {
   std::mt19937_64 random = SeededRandom();
   for (int trial = 0; trial < 20; ++trial) {

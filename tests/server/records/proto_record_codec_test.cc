@@ -301,8 +301,9 @@ TEST(StoredBatchTest, JoinedPayloadsOfBothFormsHaveAllPosesInOrder) {
   std::string row;
   std::string messages;
   for (const int kind : {0, 1, 1, 0, 0, 1}) {
-    const std::uint64_t before =
-        codec.DecodePoses(row, Planar())->samples.size();
+    const auto so_far = codec.DecodePoses(row, Planar());
+    ASSERT_THAT(so_far, IsOk());
+    const std::uint64_t before = so_far->samples.size();
     v1::PoseBatch moved = SomeMessages();
     for (v1::Pose& pose : *moved.mutable_poses()) {
       pose.set_sequence(pose.sequence() + before);
@@ -323,7 +324,9 @@ TEST(StoredBatchTest, JoinedPayloadsOfBothFormsHaveAllPosesInOrder) {
   for (std::size_t i = 0; i < 30; ++i) {
     EXPECT_EQ(decoded->samples[i].sequence, i + 1);
   }
-  EXPECT_EQ(codec.AsMessages(row).value(), messages);
+  const auto as_messages = codec.AsMessages(row);
+  ASSERT_THAT(as_messages, IsOk());
+  EXPECT_EQ(*as_messages, messages);
   const std::vector<std::uint64_t> all = FingerprintsOf(row);
   EXPECT_EQ(all, FingerprintsOf(messages));
   for (std::size_t first = 0; first < 30; first += 3) {

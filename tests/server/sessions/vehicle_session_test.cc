@@ -499,6 +499,25 @@ TEST_F(VehicleSessionTest, GivesUpChecksButNotTheAppendWhenToldToStop) {
   EXPECT_EQ(ReadNow(*session_)->durable_sequence, 102u);
 }
 
+TEST_F(VehicleSessionTest, ColumnsAreStoredAsMessagesWhereNoneAreKept) {
+  const auto columns = [](std::uint64_t first) {
+    return "columns\n" + SquareBatch(first, 3);
+  };
+  ASSERT_THAT(AppendNow(*session_, columns(1)), IsOk());
+  memory_.SetKeepsColumns(false);
+  ASSERT_THAT(AppendNow(*session_, columns(4)), IsOk());
+  const auto rows = ReadAll(memory_, memory_.GetVehicle("truck")->key, 1, 6);
+  ASSERT_THAT(rows, IsOk());
+  ASSERT_EQ(rows->size(), 2u);
+  EXPECT_EQ((*rows)[0].payload, columns(1));
+  EXPECT_EQ((*rows)[1].payload, SquareBatch(4, 3));
+  // Sent again in either form, they are known.
+  for (const std::string& batch :
+       {columns(1), columns(4), SquareBatch(1, 6), SquareBatch(4, 3)}) {
+    EXPECT_EQ(AppendNow(*session_, batch)->durable_sequence, 6u);
+  }
+}
+
 TEST_F(VehicleSessionTest, LargeBatchHasSeveralRowsAndIsOneAllTheSame) {
   memory_.SetMostBatchBytes(100);
   const std::string batch = SquareBatch(1, 50);

@@ -702,6 +702,8 @@ TEST_F(PostgresStorageTest, RowsStayInTheirPagesAndHeadsAreUpdatedInPlace) {
   }
   // Who has more bytes divides them.
   EXPECT_EQ(storage->MostBatchBytes(), kMostInlineBytes);
+  // Servers of the version before may share it.
+  EXPECT_FALSE(storage->KeepsColumns());
   ASSERT_THAT(
       write.AppendAll(keys[0], {{41, 1, 42, payload}, {42, 9, 43, payload}}),
       IsOk());
