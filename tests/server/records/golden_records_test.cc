@@ -458,6 +458,10 @@ constexpr char kGoldenEvent[] =
     "0a05747275636b12037569641a4008071230080110021803200228023209746f"
     "6b656e3a626f623a1108adfaa7b3fbffffffff0110ebf9fba10342046c696e6b"
     "48041a0865766964656e63652008";
+constexpr char kGoldenGroupEvent[] =
+    "0a05747275636b12037569641a4d0807123d08011803200128073a0210054806"
+    "500259000000000000e83f6100000000000004406a046c696e6b720376616e7a"
+    "0175800102880104920104736974651a0865766964656e63652008";
 constexpr char kGoldenFarewell[] = "0a05747275636b12037569642200";
 
 TEST(GoldenRecordTest, ChecksAndEventsAreWrittenAsEver) {
@@ -478,6 +482,12 @@ TEST(GoldenRecordTest, PlacesInOtherVehiclesAreWrittenAndReadAsEver) {
   check.candidates[0].place_last = 4;
   check.candidates[0].group = "site";
   EXPECT_EQ(Hex(EncodeCheckRecord(check)), kGoldenGroupCheck);
+  const StoredEvent event{"truck", "uid", check.candidates[0],
+                          7,       8,     "evidence"};
+  EXPECT_EQ(Hex(EncodeEventRecord(event)), kGoldenGroupEvent);
+  const auto told = DecodeEventRecord(Bytes(kGoldenGroupEvent));
+  ASSERT_THAT(told, IsOk());
+  EXPECT_EQ(told->candidate->group, "site");
   const auto read = DecodeCheckRecord(Bytes(kGoldenGroupCheck));
   ASSERT_THAT(read, IsOk());
   EXPECT_EQ(read->candidates.at(0).matched_vehicle, "van");
