@@ -14,7 +14,7 @@
 namespace revisit::server {
 
 // Version of the tables and of how payloads are written. A field that is added
-// to a payload needs no new version: older servers ignore it, newer ones take
+// and may be ignored needs no new version: older servers do so, newer ones take
 // its absence for its default.
 inline constexpr int kStoreFormat = 9;
 // The oldest that is read, and brought to this one: that of release 0.1.0.
