@@ -243,8 +243,8 @@ std::vector<v1::Pose> MessagesOf(const v1::PoseColumns& message) {
 TEST(PoseColumnsTest, AreRefusedWhereverTheMessagesThatSayTheSameAre) {
   std::mt19937_64 random = SeededRandom();
   constexpr double kInfinity = std::numeric_limits<double>::infinity();
-  const std::vector<double> numbers = {kNoNumber,  kInfinity, -1.0, 0.0,   1e-300,
-                                       1.001, 1e7,       1e10, 1e300, -1e9};
+  const std::vector<double> numbers = {
+      kNoNumber, kInfinity, -1.0, 0.0, 1e-300, 1.001, 1e7, 1e10, 1e300, -1e9};
   int refused = 0;
   for (int trial = 0; trial < 5000; ++trial) {
     Both both = RandomPoses(random);
@@ -411,7 +411,8 @@ TEST(PoseColumnsTest, AWrongNumberIsNamedByItsPlaceInItsColumn) {
   ExpectRefused(
       [](v1::PoseColumns* c) {
         c->clear_heading_radians();
-        for (int i = 0; i < 12; ++i) c->add_quaternions(i == 6 ? kNoNumber : 0.5);
+        for (int i = 0; i < 12; ++i)
+          c->add_quaternions(i == 6 ? kNoNumber : 0.5);
       },
       "NOT_FINITE", {"quaternions[6]"});
   ExpectRefused(
