@@ -119,8 +119,8 @@ def watch_table(rounds):
           f"at {first['wanted_poses_per_second']:g} poses a second\ntogether, beside "
           f"{first['watchers']} watches; KiB of the server a watch once all have "
           "begun, and MiB beyond\nthose of nobody once all is told; checks owed after "
-          "the load, and seconds until none is;\nprocessor of the server for each check, "
-          "all else that it does included, ms; processor seconds\nof the feed's "
+          "the load, and seconds until none is;\nprocessor of the server for each "
+          "check, all else that it does included, ms; processor seconds\nof the feed's "
           "thread, and its share of a core during the load")
     print(f"{'watched':22}{'ack p50':>8}  {'of nobody':20}{'p99':>8}  {'of nobody':20}"
           f"{'KiB':>7}{'MiB':>7}{'owed':>7}{'s':>6}{'check':>7}{'feed':>6}{'share':>7}"
