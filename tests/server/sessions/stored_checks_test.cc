@@ -371,11 +371,12 @@ TEST_F(StoredChecksTest, AFleetPaysForVehiclesThatNobodyAsksFor) {
       return memory_.ListUnchecked(0, 9)->empty();
     }));
     EXPECT_THAT(Checks(), ::testing::Not(IsEmpty()));
-    // It is let go again once it has heard that all is stored.
+    // It is let go again once it has heard that all is stored: a look while it
+    // is at work counts as its last use.
     fleet.PayChecks();
-    EXPECT_TRUE(Eventually([&fleet] {
-      fleet.UnloadIdle(std::chrono::steady_clock::now() +
-                       std::chrono::hours(1));
+    auto later = std::chrono::steady_clock::now();
+    EXPECT_TRUE(Eventually([&] {
+      fleet.UnloadIdle(later += std::chrono::hours(1));
       return fleet.loaded() == 0;
     }));
   }
