@@ -203,7 +203,7 @@ class ColumnsReader {
         size_(SizeOf(columns.covariance_form())),
         values_(ValuesOf(columns.covariance_form())) {}
 
-  // What does not fit; empty if all does.
+  // Says what does not fit; empty if all does.
   std::string Defect() {
     // The positions bound what a wrong count can take.
     if (count_ < 1 || !HasPositions()) return "positions";

@@ -46,7 +46,7 @@ class PoseColumnsAnswer {
 
   // The message that poses are added to; null before the first pose.
   v1::PoseColumns* current_ = nullptr;
-  // What its poses have in common, and its last pose.
+  // The kinds of fields that its poses have in common, and its last pose.
   v1::Pose::PositionCase position_{};
   v1::Pose::OrientationCase orientation_{};
   bool has_covariance_ = false;

@@ -36,7 +36,7 @@ bool AreInRange(const ColumnFields& columns) {
          AreWithin(columns.y_meters, limit) &&
          AreWithin(columns.z_meters, limit) &&
          AreWithin(columns.heading_radians, core::kMaxHeadingRadians) &&
-         // Those of a unit quaternion are smaller, and NaN is not within.
+         // A unit quaternion's are smaller, and NaN is not within.
          AreWithin(columns.quaternions, 2.0) &&
          AreWithin(columns.error_transitions, core::kMaxTransitionEntry);
 }

@@ -241,8 +241,8 @@ std::string ProtoRecordCodec::WithDeleter(const std::string& payload,
 
 absl::StatusOr<DecodedPoses> ProtoRecordCodec::DecodePoses(
     const std::string& payload, const VehicleConfig& config) const {
-  // Of messages, four a pose that were each allocated by itself would take
-  // longer than all else.
+  // Four messages a pose, each allocated by itself, would take longer than all
+  // else.
   google::protobuf::Arena arena;
   auto* const batch =
       google::protobuf::Arena::CreateMessage<stored::PoseBatch>(&arena);

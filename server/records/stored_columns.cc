@@ -128,7 +128,7 @@ class Writer {
   // The messages in it, serialized.
   std::string stamp_;
   std::string start_;
-  // Of all steps between stamps.
+  // The bytes of all steps between stamps, and of the whole message.
   std::size_t steps_size_ = 0;
   std::size_t size_ = 0;
 };

@@ -22,7 +22,7 @@ constexpr std::uint32_t Tag(int field, WireType type) {
          static_cast<std::uint32_t>(type);
 }
 
-// Of the fields 1 to 2047.
+// REQUIRES: the field is one of 1 to 2047.
 constexpr std::size_t TagSize(int field) { return field < 16 ? 1 : 2; }
 
 // ---- Numbers
@@ -39,7 +39,7 @@ inline std::uint64_t Widened(std::int64_t value) {
   return static_cast<std::uint64_t>(value);
 }
 
-// Of type sint64.
+// A number of type sint64 as it is written.
 inline std::uint64_t ZigZag(std::int64_t value) {
   return static_cast<std::uint64_t>(value) << 1 ^
          static_cast<std::uint64_t>(value >> 63);

@@ -110,7 +110,7 @@ class PageWriter {
   v1::Pose pose_;
   PoseColumnsAnswer columns_;
   v1::ListPosesResponse* const response_;
-  // Of all poses as messages.
+  // The size of all poses as messages.
   std::size_t bytes_ = 0;
 };
 

@@ -76,7 +76,7 @@ class Appends {
   absl::Status TakeOrigin(const DecodedBatch& batch);
   absl::Status CompareWithStored(const DecodedBatch& batch, std::uint64_t first,
                                  std::uint64_t last) const;
-  // Of a stored batch; none if its poses were dropped.
+  // The fingerprints of a stored batch; none if its poses were dropped.
   absl::StatusOr<std::vector<std::uint64_t>> StoredFingerprints(
       const BatchRecord& record) const;
   absl::Status KeepFrom(std::size_t first, DecodedBatch* batch) const;

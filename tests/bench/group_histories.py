@@ -25,7 +25,7 @@ PARENT = "groups/all"
 VEHICLES_A_SITE = 10
 SITE_METERS = 3000.0
 ROUNDS = 50
-# Of the first site, and metres a degree there.
+# Where the first site is, and metres a degree of latitude.
 LATITUDE, LONGITUDE = 48.0, 11.0
 METERS_A_DEGREE = 111320.0
 # Vehicles that send beside searches, how often a second, and how long.

@@ -295,7 +295,7 @@ def test_the_group_in_which_it_was_found_decides_whichever_is_searched_since(
         for vehicle in (OTHER, CHECKED):
             add_member(stub, another, name_of(vehicle), datum_of(FRAMES[vehicle]))
         search_in(stub, checked, another)
-        # What another group says is about what was found there.
+        # Another group speaks about what was found there.
         add_link(stub, another, (elsewhere.matched_vehicle,
                                  elsewhere.matched.sequence),
                  (checked, elsewhere.query.sequence))

@@ -107,7 +107,7 @@ def test_columns_that_do_not_fit_are_no_poses():
             pytest.fail(f"change {number}")
 
 
-# What a stream holds.
+# Poses that a stream holds.
 
 
 def mixed_parts(rng, count):

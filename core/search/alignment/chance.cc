@@ -143,7 +143,7 @@ class ChanceMeter {
     }
   }
 
-  // Of the nodes where the vehicle is not.
+  // The mean is over the nodes where the vehicle is not; at least 0.
   double LogMeanRatio() const {
     if (nats_.empty()) return 0.0;
     const auto count = static_cast<double>(nats_.size());
@@ -154,8 +154,8 @@ class ChanceMeter {
     return std::log1p(kUnseenRatios * more);
   }
 
-  // How many times as many roads head as the query does as if all ways were
-  // alike; at least 1.
+  // Tells how many times as many roads head as the query does as if all ways
+  // were alike; at least 0.
   double LogShareOfHeading() const {
     if (nodes_ == 0) return 0.0;
     const double density = heading_density_ / static_cast<double>(nodes_);

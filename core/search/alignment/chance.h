@@ -54,9 +54,9 @@ inline constexpr double kLeastHeadingDeviation = 0.02;
 
 // Logarithms, each at least 0; 0 where nothing could be measured.
 struct Chance {
-  // Of the mean ratio.
+  // The mean ratio's logarithm.
   double log_ratio = 0.0;
-  // Of 2 pi p.
+  // The logarithm of 2 pi p.
   double log_heading = 0.0;
 
   double log_odds() const { return log_ratio + log_heading; }

@@ -277,7 +277,7 @@ TEST_F(ClientTest, RepeatsAChangeOfAGroupThatLostToOthersUnlessForARevision) {
 
 TEST_F(ClientTest, ListsPosesInEitherFormThatAServerAnswers) {
   v1::PoseBatch stored = SomePoses(3);
-  // Not like the others.
+  // This pose has a stamp, unlike the others.
   stored.mutable_poses(1)->mutable_stamp()->set_seconds(7);
   server_.Replace("uid", stored);
   v1::ListPosesRequest request;

@@ -69,8 +69,8 @@ void LeaveOutCrossTerms(Covariance* covariance) {
   (*covariance)(0, 1) = (*covariance)(0, 3) = (*covariance)(1, 3) = 0.0;
 }
 
-// What is left out is told by the covariances that the claim before has and
-// those that its swing makes of them together, in x as in y.
+// The covariances that the claim before has, and those that its swing makes of
+// them, tell together what is left out, in x as in y.
 TEST(CarriedClaimTest, ALeverOfTheClaimBeforeIsCarriedOnWithItsSwing) {
   for (const StateSpace space : {StateSpace::kPlanar, StateSpace::kSpatial}) {
     for (const double sign : {1.0, -1.0}) {

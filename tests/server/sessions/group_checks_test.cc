@@ -78,7 +78,7 @@ class FakeScopes final : public CheckScopes {
     group_ = std::make_shared<const CheckGroup>(std::move(group));
     return *group_;
   }
-  // What the group `another` says, which is not there unless this was called.
+  // Lets the group `another` say this; it is not there unless this was called.
   void SetAnother(CheckGroup group) {
     const std::lock_guard<std::mutex> guard(mutex_);
     group.version = GroupVersion{"uid-of-another", ++revision_};
