@@ -6,7 +6,10 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
+#include "server/fields/covariances.h"
+#include "server/fields/pose_fields.h"
 #include "server/fields/timestamps.h"
+#include "server/records/wire_bytes.h"
 
 namespace revisit::server {
 namespace {
@@ -27,12 +30,7 @@ bool Includes(const google::protobuf::FieldMask& mask, absl::string_view local,
 }
 
 // -0.0 is none.
-bool IsZero(double value) {
-  std::uint64_t bits;
-  static_assert(sizeof(bits) == sizeof(value));
-  std::memcpy(&bits, &value, sizeof(bits));
-  return bits == 0;
-}
+bool IsZero(double value) { return BitsOf(value) == 0; }
 
 bool AreZeros(const Doubles& values) {
   for (const double value : values) {
@@ -41,18 +39,8 @@ bool AreZeros(const Doubles& values) {
   return true;
 }
 
-// The order of the matrices of a form; 0 where the form was left out.
-int OrderOf(v1::CovarianceForm form) {
-  switch (form) {
-    case v1::COVARIANCE_FORM_PLANAR_6:
-      return 3;
-    case v1::COVARIANCE_FORM_SPATIAL_10:
-      return 4;
-    case v1::COVARIANCE_FORM_ROS_36:
-      return 6;
-    default:
-      return 0;
-  }
+int RowsOf(v1::CovarianceForm form) {
+  return static_cast<int>(server::RowsOf(static_cast<CovarianceForm>(form)));
 }
 
 // Whether each `size` values are those before them, to the bit.
@@ -69,11 +57,11 @@ bool Repeat(const Doubles& values, int size) {
 // Adds the variances of these covariances; false if another entry is not 0.
 bool AddVariances(const Doubles& values, v1::CovarianceForm form,
                   Doubles* variances) {
-  const int order = OrderOf(form);
+  const int rows = RowsOf(form);
   const bool is_full = form == v1::COVARIANCE_FORM_ROS_36;
   for (int i = 0; i < values.size();) {
-    for (int r = 0; r < order; ++r) {
-      for (int c = is_full ? 0 : r; c < order; ++c, ++i) {
+    for (int r = 0; r < rows; ++r) {
+      for (int c = is_full ? 0 : r; c < rows; ++c, ++i) {
         if (r == c) {
           variances->Add(values[i]);
         } else if (!IsZero(values[i])) {
@@ -190,7 +178,7 @@ void PoseColumnsAnswer::ShortenHeights() {
 void PoseColumnsAnswer::ShortenCovariances() {
   Doubles* const values = current_->mutable_covariances();
   const v1::CovarianceForm form = current_->covariance_form();
-  if (OrderOf(form) == 0 || values->empty()) return;
+  if (RowsOf(form) == 0 || values->empty()) return;
   if (Repeat(*values, covariance_values_)) {
     values->Truncate(covariance_values_);
   }

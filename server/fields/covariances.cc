@@ -86,6 +86,18 @@ void TakeRos(Values values, bool spatial, const FieldPath& path,
 
 }  // namespace
 
+std::size_t RowsOf(CovarianceForm form) {
+  switch (form) {
+    case CovarianceForm::kPlanar6:
+      return 3;
+    case CovarianceForm::kSpatial10:
+      return 4;
+    case CovarianceForm::kRos36:
+      return 6;
+  }
+  return 0;
+}
+
 void DecodeCovariance(const CovarianceFields& fields, core::StateSpace space,
                       const FieldPath& path, core::Covariance* covariance,
                       Violations* violations) {

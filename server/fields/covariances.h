@@ -12,6 +12,10 @@
 
 namespace revisit::server {
 
+// How many rows the matrix has whose upper triangle, or all of which, a form
+// has; 0 for a form that nobody understands.
+std::size_t RowsOf(CovarianceForm form);
+
 // The covariance reduced to the state. Checks layout, size, finiteness and, for
 // ROS_36, symmetry; not whether it is positive definite.
 void DecodeCovariance(const CovarianceFields& fields, core::StateSpace space,

@@ -8,6 +8,7 @@
 #include "absl/strings/string_view.h"
 #include "absl/strings/strip.h"
 #include "absl/types/span.h"
+#include "server/fields/covariances.h"
 #include "server/fields/timestamps.h"
 
 namespace revisit::server {
@@ -15,27 +16,14 @@ namespace {
 
 using absl::StrCat;
 
-// The size of the matrix whose upper triangle, or all of which, a form has.
-std::size_t SizeOf(CovarianceForm form) {
-  switch (form) {
-    case CovarianceForm::kPlanar6:
-      return 3;
-    case CovarianceForm::kSpatial10:
-      return 4;
-    case CovarianceForm::kRos36:
-      return 6;
-  }
-  return 0;
-}
-
 std::size_t ValuesOf(CovarianceForm form) {
-  const std::size_t size = SizeOf(form);
+  const std::size_t size = RowsOf(form);
   return form == CovarianceForm::kRos36 ? size * size : size * (size + 1) / 2;
 }
 
 // Where the variance of a coordinate is among the values.
 std::size_t DiagonalIndex(CovarianceForm form, std::size_t coordinate) {
-  const std::size_t size = SizeOf(form);
+  const std::size_t size = RowsOf(form);
   if (form == CovarianceForm::kRos36) return coordinate * (size + 1);
   // Row r of the upper triangle has size - r values.
   return coordinate * (2 * size - coordinate + 1) / 2;
@@ -68,7 +56,7 @@ PoseColumns::PoseColumns(ColumnFields fields, const FieldPath& path,
                          Violations* violations)
     : fields_(std::move(fields)),
       values_(ValuesOf(fields_.covariance_form)),
-      diagonal_(SizeOf(fields_.covariance_form)),
+      diagonal_(RowsOf(fields_.covariance_form)),
       has_one_covariance_(fields_.covariances.empty()
                               ? fields_.covariance_diagonals.size() == diagonal_
                               : fields_.covariances.size() == values_) {

@@ -218,14 +218,21 @@ def expect_searched_again_behind(stub, checked, group, sequence):
                    if sequence_of(check) < sequence)
 
 
+def checked_pair(stub, drive):
+    """A vehicle whose checks were made in the history of another one, their group, and
+    a cursor from before the checks."""
+    checked, group = make_pair(stub, drive)
+    cursor = first_cursor(stub)
+    send(stub, checked, poses_of(drive, CHECKED))
+    wait_until_paid(stub, checked)
+    return checked, group, cursor
+
+
 def test_links_decide_on_what_was_found_once_and_until_they_go(tmp_path, drive):
     store = tmp_path / "store"
     with Server(store, log_path=tmp_path / "first.log") as server:
         stub = server.stub()
-        checked, group = make_pair(stub, drive)
-        cursor = first_cursor(stub)
-        send(stub, checked, poses_of(drive, CHECKED))
-        wait_until_paid(stub, checked)
+        checked, group, cursor = checked_pair(stub, drive)
         found = in_other(list_checks(stub, checked)[0])
         # Far from each other along both paths.
         (_, tied, tied_evidence), (_, denied, denied_evidence) = (
@@ -274,10 +281,7 @@ def test_the_group_in_which_it_was_found_decides_whichever_is_searched_since(
     store = tmp_path / "store"
     with Server(store, log_path=tmp_path / "first.log") as server:
         stub = server.stub()
-        checked, group = make_pair(stub, drive)
-        cursor = first_cursor(stub)
-        send(stub, checked, poses_of(drive, CHECKED))
-        wait_until_paid(stub, checked)
+        checked, group, cursor = checked_pair(stub, drive)
         checks = list_checks(stub, checked)[0]
         for check in checks:
             for state in check.states:
