@@ -296,13 +296,16 @@ def test_server_of_a_volume_has_its_poses_after_upgrades(maps):
 
 
 def answer(pod, path):
-    """The HTTP status with which a pod's administrative port answers."""
+    """The HTTP status with which a pod's administrative port answers, or None if it
+    does not answer: a pod runs before its server listens."""
     opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
     try:
         with opener.open(f"http://{pod['status']['podIP']}:9464{path}") as said:
             return said.status
     except urllib.error.HTTPError as error:
         return error.code
+    except urllib.error.URLError:
+        return None
 
 
 def test_server_that_takes_no_writes_leaves_the_service_and_is_not_restarted(maps):
@@ -311,12 +314,13 @@ def test_server_that_takes_no_writes_leaves_the_service_and_is_not_restarted(map
     wait_until(lambda: maps.addresses("fleet", "notReadyAddresses"),
                "server that is not ready")
     [pod] = maps.pods()
-    [state] = pod["status"]["containerStatuses"]
-    assert "running" in state["state"] and state["restartCount"] == 0
     [container] = pod["spec"]["containers"]
-    probed = {probe: answer(pod, container[f"{probe}Probe"]["httpGet"]["path"])
-              for probe in ("liveness", "readiness")}
-    assert probed == {"liveness": 200, "readiness": 503}
+    path = {probe: container[f"{probe}Probe"]["httpGet"]["path"]
+            for probe in ("liveness", "readiness")}
+    wait_until(lambda: answer(pod, path["liveness"]) == 200, "server that is alive")
+    assert answer(pod, path["readiness"]) == 503
+    [state] = maps.pods()[0]["status"]["containerStatuses"]
+    assert "running" in state["state"] and state["restartCount"] == 0
     assert not maps.addresses("fleet")
     assert maps.addresses("fleet-servers") == {pod["status"]["podIP"]}
 
