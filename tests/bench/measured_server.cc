@@ -1,5 +1,6 @@
 #include "tests/bench/measured_server.h"
 
+#include <sys/resource.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -8,6 +9,7 @@
 #include <cmath>
 #include <cstdlib>
 #include <filesystem>
+#include <functional>
 #include <sstream>
 #include <thread>
 
@@ -15,6 +17,9 @@
 
 namespace revisit::bench {
 namespace {
+
+// As many vehicles on connections of their own are as the measurements need.
+constexpr rlim_t kMostConnections = 10'000;
 
 using Clock = std::chrono::steady_clock;
 using nlohmann::json;
@@ -46,6 +51,21 @@ std::vector<std::string> Command(Kind kind, const std::string& store) {
     command.insert(command.end(), {"--advertise-address", "127.0.0.1:1"});
   }
   return command;
+}
+
+// Calls work(i) for each i below `count`, several at a time, since each waits
+// for a server.
+void InParallel(std::size_t count,
+                const std::function<void(std::size_t)>& work) {
+  constexpr std::size_t kThreads = 32;
+  std::atomic<std::size_t> next{0};
+  std::vector<std::thread> threads;
+  for (std::size_t t = 0; t < std::min(count, kThreads); ++t) {
+    threads.emplace_back([&] {
+      for (std::size_t i = next++; i < count; i = next++) work(i);
+    });
+  }
+  for (std::thread& thread : threads) thread.join();
 }
 
 }  // namespace
@@ -85,6 +105,18 @@ std::string NewVehicleId() {
   return "load-" + std::to_string(getpid()) + "-" + std::to_string(made++);
 }
 
+int VehiclesAConnection(int vehicles) {
+  rlimit limit{};
+  if (getrlimit(RLIMIT_NOFILE, &limit) != 0) Die("getrlimit failed");
+  limit.rlim_cur = limit.rlim_max;
+  if (setrlimit(RLIMIT_NOFILE, &limit) != 0) Die("setrlimit failed");
+  // A server leaves a quarter of its descriptors for its store and its callers
+  // to come.
+  const auto most =
+      static_cast<int>(std::min<rlim_t>(limit.rlim_max / 2, kMostConnections));
+  return (vehicles + most - 1) / most;
+}
+
 Server::Server(Kind kind, const Options& options)
     : kind_(kind),
       directory_(options.directory),
@@ -92,8 +124,20 @@ Server::Server(Kind kind, const Options& options)
                                                    : directory_.path()),
                directory_.path() + "/log") {}
 
-void Server::AddVehicle(const std::string& id) {
-  if (kind_ != Kind::kEmpty) CreateVehicle(NewChannel(address()), id);
+void Server::AddVehicle(const std::string& id,
+                        const v1::VehicleSettings& settings) {
+  if (kind_ != Kind::kEmpty) CreateVehicle(NewChannel(address()), id, settings);
+}
+
+std::vector<std::string> Server::AddVehicles(
+    int count, const v1::VehicleSettings& settings) {
+  std::vector<std::string> ids(static_cast<std::size_t>(count));
+  for (std::string& id : ids) id = NewVehicleId();
+  if (kind_ == Kind::kEmpty) return ids;
+  const auto channel = NewChannel(address());
+  InParallel(ids.size(),
+             [&](std::size_t i) { CreateVehicle(channel, ids[i], settings); });
+  return ids;
 }
 
 double Server::WritesACommit() const {
@@ -138,28 +182,22 @@ json Server::LogLine(const std::string& event) const {
   return json::object();
 }
 
-Streams::Streams(Server* server, int vehicles, const LoadOptions& load)
-    : load_(load) {
-  for (int i = 0; i < vehicles; ++i) {
-    const std::string id = NewVehicleId();
-    server->AddVehicle(id);
-    loads_.push_back(std::make_unique<StreamLoad>(NewChannel(server->address()),
-                                                  "vehicles/" + id, load));
-  }
-  for (const auto& one : loads_) one->Start();
-}
-
 Streams::Streams(const Server& server, const std::vector<std::string>& ids,
                  int a_connection, const LoadOptions& load)
-    : load_(load) {
-  std::shared_ptr<grpc::Channel> channel;
-  for (const std::string& id : ids) {
-    if (loads_.size() % static_cast<std::size_t>(a_connection) == 0) {
-      channel = NewChannel(server.address());
+    : load_(load), loads_(ids.size()) {
+  const auto shared_by = static_cast<std::size_t>(a_connection);
+  InParallel((ids.size() + shared_by - 1) / shared_by, [&](std::size_t group) {
+    const auto channel = NewChannel(server.address());
+    const std::size_t end = std::min(ids.size(), (group + 1) * shared_by);
+    for (std::size_t i = group * shared_by; i < end; ++i) {
+      loads_[i] =
+          std::make_unique<StreamLoad>(channel, "vehicles/" + ids[i], load);
     }
-    loads_.push_back(
-        std::make_unique<StreamLoad>(channel, "vehicles/" + id, load));
-  }
+  });
+}
+
+void Streams::Start() {
+  for (const auto& one : loads_) one->Start();
 }
 
 void Streams::SendBatches(std::size_t vehicle, int batches) {
@@ -200,6 +238,7 @@ std::vector<double> Streams::TakeLatencies() {
 }
 
 void Streams::Stop() {
+  for (const auto& one : loads_) one->StopSending();
   for (const auto& one : loads_) one->Stop();
 }
 

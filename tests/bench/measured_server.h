@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "nlohmann/json.hpp"
+#include "revisit/v1/vehicle.pb.h"
 #include "tests/bench/child_process.h"
 #include "tests/bench/server_options.h"
 #include "tests/bench/stream_load.h"
@@ -30,6 +31,11 @@ const char* NameOf(Kind kind);
 // Vehicles of a shared store outlive the server that made them.
 std::string NewVehicleId();
 
+// How many of so many vehicles share a connection: one has its own, unless the
+// descriptors of this process or of a server do not suffice, of which the soft
+// limit is lifted as far as the hard one.
+int VehiclesAConnection(int vehicles);
+
 // A server with a store of its own.
 class Server {
  public:
@@ -41,7 +47,11 @@ class Server {
   double peak_bytes() const { return process_.peak_bytes(); }
   std::string store() const { return directory_.path() + "/revisit.sqlite"; }
 
-  void AddVehicle(const std::string& id);
+  void AddVehicle(const std::string& id,
+                  const v1::VehicleSettings& settings = {});
+  // Makes so many, several at a time, and returns their ids.
+  std::vector<std::string> AddVehicles(
+      int count, const v1::VehicleSettings& settings = {});
 
   void Stop() { process_.Stop(); }
 
@@ -65,13 +75,13 @@ class Server {
 // Streams of many vehicles, one each.
 class Streams {
  public:
-  // Makes the vehicles, which send at once, each on a connection of its own.
-  Streams(Server* server, int vehicles, const LoadOptions& load);
   // Opens streams of vehicles that are there, so many to a connection, which
-  // send what SendBatches() and SendAtRate() say.
+  // send what SendBatches() and SendAtRate() say, or all they can once Start()
+  // was called.
   Streams(const Server& server, const std::vector<std::string>& ids,
           int a_connection, const LoadOptions& load);
 
+  void Start();
   // This vehicle sends so many batches as soon as its window allows.
   void SendBatches(std::size_t vehicle, int batches);
   // One vehicle after the other sends a batch, evenly in time. Returns once the

@@ -6,7 +6,6 @@
 #include <algorithm>
 #include <atomic>
 #include <chrono>
-#include <cmath>
 #include <cstdio>
 #include <cstdlib>
 #include <map>
@@ -15,14 +14,15 @@
 #include <thread>
 #include <vector>
 
+#include "absl/synchronization/mutex.h"
 #include "nlohmann/json.hpp"
 #include "revisit/v1/pose_graph_service.grpc.pb.h"
 #include "tests/bench/child_process.h"
 #include "tests/bench/empty_server.h"
+#include "tests/bench/ingest_round.h"
 #include "tests/bench/measured_server.h"
 #include "tests/bench/roads.h"
 #include "tests/bench/server_options.h"
-#include "tests/bench/sqlite_loop.h"
 #include "tests/bench/stream_load.h"
 #include "tests/bench/watch_round.h"
 
@@ -31,36 +31,6 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 using nlohmann::json;
-
-json MeasureStreams(Kind kind, const Options& options, int vehicles,
-                    int batch_poses) {
-  Server server(kind, options);
-  LoadOptions load;
-  load.batch_poses = batch_poses;
-  load.as_columns = options.form == "columns";
-  Streams streams(&server, vehicles, load);
-  // Until caches and windows are as they stay.
-  SleepFor(std::min(0.5, options.seconds / 4.0));
-  streams.TakeLatencies();
-  const std::uint64_t before = streams.acked_poses();
-  const double server_cpu = server.cpu_seconds();
-  const double own_cpu = OwnCpuSeconds();
-  const Clock::time_point start = Clock::now();
-  SleepFor(options.seconds);
-  const std::chrono::duration<double> spent = Clock::now() - start;
-  const auto poses = static_cast<double>(streams.acked_poses() - before);
-  json result = Latencies(streams.TakeLatencies());
-  result["poses_per_second"] = poses / spent.count();
-  result["server_cpu_us_per_pose"] =
-      1e6 * (server.cpu_seconds() - server_cpu) / std::max(1.0, poses);
-  result["client_cpu_us_per_pose"] =
-      1e6 * (OwnCpuSeconds() - own_cpu) / std::max(1.0, poses);
-  streams.Stop();
-  result["server_peak_bytes"] = server.peak_bytes();
-  server.Stop();
-  if (kind != Kind::kEmpty) result["writes_a_commit"] = server.WritesACommit();
-  return result;
-}
 
 // Streams in turn beside scrapes, one a second, and without: what a pose takes
 // of the server in both kinds of slices.
@@ -73,7 +43,8 @@ json MetricsRound(const Options& options) {
     Server server(Kind::kScraped, options);
     LoadOptions load;
     load.batch_poses = batch_poses;
-    Streams streams(&server, 8, load);
+    Streams streams(server, server.AddVehicles(8), 1, load);
+    streams.Start();
     SleepFor(std::min(0.5, options.seconds / 4.0));
     json entry = {{"vehicles", 8}, {"batch_poses", batch_poses}};
     // In an order in which what grows or slows down with time cancels out.
@@ -102,46 +73,10 @@ json MetricsRound(const Options& options) {
   return round;
 }
 
-json MeasureLoop(const Options& options, int batch_poses, int rows_a_commit) {
-  // For its store.
-  Server server(Kind::kRevisit, options);
-  server.Stop();
-  return {{"rows_a_commit", rows_a_commit},
-          {"poses_per_second", SqliteLoop(server.store(), batch_poses,
-                                          rows_a_commit, options.seconds)}};
-}
-
-json IngestRound(const Options& options) {
-  json round = json::array();
-  struct Case {
-    int vehicles;
-    int batch_poses;
-  };
-  std::vector<Case> cases = {{1, 64}, {1, 1}, {8, 64}, {8, 1}};
-  if (options.batch_poses != 0) {
-    cases = {{1, options.batch_poses}, {8, options.batch_poses}};
-  }
-  for (const Case& one : cases) {
-    json entry = {{"vehicles", one.vehicles}, {"batch_poses", one.batch_poses}};
-    for (const Kind kind : {Kind::kEmpty, Kind::kRevisit, Kind::kShared}) {
-      if (kind == Kind::kShared && options.shared_store.empty()) continue;
-      entry[NameOf(kind)] =
-          MeasureStreams(kind, options, one.vehicles, one.batch_poses);
-    }
-    const auto group = static_cast<int>(std::lround(
-        std::max(1.0, entry["revisit"]["writes_a_commit"].get<double>())));
-    entry["sqlite"] = MeasureLoop(options, one.batch_poses, group);
-    entry["sqlite_row_a_commit"] = MeasureLoop(options, one.batch_poses, 1);
-    round.push_back(std::move(entry));
-  }
-  return round;
-}
-
 // The poses of a drive through a town, one a node.
-std::vector<v1::Pose> TownPoses(std::int64_t nodes) {
-  const core::PoseGraph graph = MakeRoads(nodes);
-  std::vector<v1::Pose> poses(static_cast<std::size_t>(nodes));
-  for (core::NodeIndex i = 0; i < nodes; ++i) {
+std::vector<v1::Pose> PosesOf(const core::PoseGraph& graph) {
+  std::vector<v1::Pose> poses(static_cast<std::size_t>(graph.size()));
+  for (core::NodeIndex i = 0; i < graph.size(); ++i) {
     const core::Node node = graph.node(i);
     v1::Pose& pose = poses[static_cast<std::size_t>(i)];
     pose.set_sequence(static_cast<std::uint64_t>(i) + 1);
@@ -158,6 +93,18 @@ std::vector<v1::Pose> TownPoses(std::int64_t nodes) {
     }
   }
   return poses;
+}
+
+// Makes the vehicle "asked" with a drive of so many nodes.
+void AddAsked(const Options& options, std::int64_t nodes, Server* server) {
+  const bool fixes = options.errors == "fixes";
+  v1::VehicleSettings settings;
+  if (fixes) {
+    settings.set_correlation_model(v1::CORRELATION_MODEL_INDEPENDENT);
+  }
+  server->AddVehicle("asked", settings);
+  Upload(NewChannel(server->address()), "vehicles/asked",
+         PosesOf(fixes ? MakeSmoothRoads(nodes) : MakeRoads(nodes)));
 }
 
 // Calls one after the other until the time is over.
@@ -218,6 +165,14 @@ class Caller {
   v1::FindCandidatesResponse found_;
 };
 
+// Where nothing is known yet of what the drive has shown.
+json FirstSearch(Caller* caller) {
+  const Clock::time_point sent = Clock::now();
+  const int calls = caller->FindAtLast("vehicles/asked");
+  const std::chrono::duration<double> spent = Clock::now() - sent;
+  return {{"calls", calls}, {"ms", 1e3 * spent.count()}};
+}
+
 // Vehicles that send a batch of 64 as soon as the one before is durable.
 LoadOptions OneBatchAtATime() {
   LoadOptions load;
@@ -233,14 +188,13 @@ json QueryRound(const Options& options) {
     MeasureCalls(0.2, [&] { return caller.Find("vehicles/asked"); });
     result["empty"] = Latencies(MeasureCalls(
         options.seconds, [&] { return caller.Find("vehicles/asked"); }));
-    Streams streams(&empty, 4, OneBatchAtATime());
+    Streams streams(empty, empty.AddVehicles(4), 1, OneBatchAtATime());
+    streams.Start();
     result["empty_loaded"] = Latencies(MeasureCalls(
         options.seconds, [&] { return caller.Find("vehicles/asked"); }));
   }
   Server server(Kind::kRevisit, options);
-  server.AddVehicle("asked");
-  Upload(NewChannel(server.address()), "vehicles/asked",
-         TownPoses(options.nodes));
+  AddAsked(options, options.nodes, &server);
   Caller caller(server.address());
   std::vector<double> searches;
   bool with_belief = true;
@@ -259,13 +213,14 @@ json QueryRound(const Options& options) {
     result["info" + suffix] =
         Latencies(MeasureCalls(options.seconds, [&] { return caller.Info(); }));
   };
-  caller.FindAtLast("vehicles/asked");
+  result["first"] = FirstSearch(&caller);
   MeasureCalls(0.2, find);
   measure("");
   with_belief = false;
   measure_find("find_without_belief");
   with_belief = true;
-  Streams streams(&server, 4, OneBatchAtATime());
+  Streams streams(server, server.AddVehicles(4), 1, OneBatchAtATime());
+  streams.Start();
   measure("_loaded");
   streams.Stop();
   result["nodes"] = options.nodes;
@@ -275,11 +230,10 @@ json QueryRound(const Options& options) {
 // What streams notice of slow searches, of as many callers at once.
 json StallRound(const Options& options) {
   Server server(Kind::kRevisit, options);
-  server.AddVehicle("asked");
-  Upload(NewChannel(server.address()), "vehicles/asked",
-         TownPoses(options.many_nodes));
+  AddAsked(options, options.many_nodes, &server);
   Caller(server.address()).FindAtLast("vehicles/asked");
-  Streams streams(&server, 4, OneBatchAtATime());
+  Streams streams(server, server.AddVehicles(4), 1, OneBatchAtATime());
+  streams.Start();
   SleepFor(0.3);
   json result = {{"nodes", options.many_nodes}};
   for (const int callers : {0, 1, 4}) {
@@ -329,6 +283,8 @@ int Run(const Options& options) {
   for (int i = 0; i < options.rounds; ++i) {
     json round;
     if (Wanted(options, "ingest")) round["ingest"] = IngestRound(options);
+    // It is about vehicles by the thousand.
+    if (options.only == "pace") round["pace"] = PaceRound(options);
     if (Wanted(options, "metrics")) round["metrics"] = MetricsRound(options);
     if (Wanted(options, "query")) round["query"] = QueryRound(options);
     if (Wanted(options, "stall")) round["stall"] = StallRound(options);
@@ -344,6 +300,11 @@ constexpr char kUsage[] =
     "usage: revisit_server_bench [--seconds S] [--rounds N] [--nodes N]\n"
     "           [--many-nodes N] [--directory DIR] [--shared-store URL]\n"
     "           [--only ingest|metrics|query|stall] [--batch-poses N]\n"
+    "           [--form messages|columns] [--vehicles N]\n"
+    "           [--errors reckoned|fixes]\n"
+    "       revisit_server_bench --only pace [--streams N]\n"
+    "           [--poses-per-second N] [--seconds S] [--rounds N]\n"
+    "           [--directory DIR] [--batch-poses N]\n"
     "           [--form messages|columns]\n"
     "       revisit_server_bench --only watch [--streams N] [--watchers N]\n"
     "           [--poses-per-second N] [--seconds S] [--rounds N]\n"
@@ -354,6 +315,7 @@ bool SetOption(const std::string& flag, const std::string& value,
                Options* options) {
   const std::map<std::string, std::string*> texts = {
       {"--directory", &options->directory},
+      {"--errors", &options->errors},
       {"--form", &options->form},
       {"--only", &options->only},
       {"--shared-store", &options->shared_store}};
@@ -366,6 +328,7 @@ bool SetOption(const std::string& flag, const std::string& value,
       {"--batch-poses", &options->batch_poses},
       {"--rounds", &options->rounds},
       {"--streams", &options->streams},
+      {"--vehicles", &options->vehicles},
       {"--watchers", &options->watchers}};
   if (texts.count(flag) > 0) {
     *texts.at(flag) = value;
@@ -393,6 +356,9 @@ int Main(int argc, char** argv) {
       return 64;
     }
   }
+  // Debian builds Abseil with checks for deadlocks, which look at all mutexes
+  // that a thread holds: a third of what a client of 10,000 connections does.
+  absl::SetMutexDeadlockDetectionMode(absl::OnDeadlockCycle::kIgnore);
   return Run(options);
 }
 

@@ -21,13 +21,16 @@ struct Options {
   // beside those into a file.
   std::string shared_store;
   // If not empty, what alone is measured; of streams, only with this many poses
-  // a batch, if not 0.
+  // a batch, and only of this many vehicles, if not 0.
   std::string only;
   int batch_poses = 0;
+  int vehicles = 0;
   // How streams send poses: "messages" or "columns".
   std::string form = "messages";
-  // So many vehicles, each with a stream, have their checks stored, and so many
-  // watches look at them, or none. The rate is that of all poses together.
+  // How the vehicle that is asked knows its poses: "reckoned" or "fixes".
+  std::string errors = "reckoned";
+  // So many vehicles, each with a stream, send poses at this rate together.
+  // Where their checks are stored, so many watches look at them, or none.
   int streams = 1000;
   int watchers = 1000;
   double poses_per_second = 40'000.0;

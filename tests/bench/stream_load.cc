@@ -156,15 +156,20 @@ class StreamLoad::Reactor final
     if (done_) Die("StreamPoses: " + status_.error_message());
   }
 
-  void Stop() {
-    std::unique_lock<std::mutex> lock(mutex_);
-    if (stopped_) return;
-    stopped_ = true;
-    sending_ = false;
-    Send();
-    lock.unlock();
+  void StopSending() {
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      if (stopped_) return;
+      stopped_ = true;
+      sending_ = false;
+      Send();
+    }
     RemoveHold();
-    lock.lock();
+  }
+
+  void Stop() {
+    StopSending();
+    std::unique_lock<std::mutex> lock(mutex_);
     changed_.wait(lock, [this] { return done_; });
     if (!status_.ok()) Die("StreamPoses: " + status_.error_message());
     if (acked_ != sent_) Die("StreamPoses ended with poses not acknowledged");
@@ -279,6 +284,8 @@ void StreamLoad::Start() { reactor_->Start(); }
 void StreamLoad::Send(Clock::time_point due) { reactor_->Send(due); }
 
 void StreamLoad::WaitUntilAcked() { reactor_->WaitUntilAcked(); }
+
+void StreamLoad::StopSending() { reactor_->StopSending(); }
 
 void StreamLoad::Stop() { reactor_->Stop(); }
 

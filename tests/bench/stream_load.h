@@ -54,6 +54,9 @@ class StreamLoad {
   void Send(std::chrono::steady_clock::time_point due);
   // Waits until all that Send() was called for is acknowledged.
   void WaitUntilAcked();
+  // Sends no more. Whoever stops many does so first of all of them, so that
+  // none waits behind what others still send.
+  void StopSending();
   // Sends no more, and waits until all is acknowledged and the stream closed.
   void Stop();
 

@@ -41,18 +41,6 @@ double SecondsSince(Clock::time_point start) {
   return std::chrono::duration<double>(Clock::now() - start).count();
 }
 
-std::vector<std::string> MakeVehicles(const Server& server, int count) {
-  const std::shared_ptr<grpc::Channel> channel = NewChannel(server.address());
-  v1::VehicleSettings settings;
-  settings.set_checks(v1::STORED_CHECKS_STORED);
-  std::vector<std::string> ids;
-  for (int i = 0; i < count; ++i) {
-    ids.push_back(NewVehicleId());
-    CreateVehicle(channel, ids.back(), settings);
-  }
-  return ids;
-}
-
 // Returns after how many seconds no check is owed.
 double WaitUntilChecked(const Server& server) {
   const Clock::time_point start = Clock::now();
@@ -154,7 +142,10 @@ json MeasureWatched(const std::string& name, const Options& options) {
   load.batch_poses =
       options.batch_poses == 0 ? kBatchPoses : options.batch_poses;
   load.set_pose = SetLapPose;
-  const std::vector<std::string> ids = MakeVehicles(server, options.streams);
+  v1::VehicleSettings settings;
+  settings.set_checks(v1::STORED_CHECKS_STORED);
+  const std::vector<std::string> ids =
+      server.AddVehicles(options.streams, settings);
   Streams streams(server, ids, kCallsAConnection, load);
   DriveFirstLap(server, load, ids.size(), &streams);
   const double resident = SettledBytes(server);
