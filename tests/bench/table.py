@@ -20,7 +20,7 @@ def processor():
 class Figures:
     def __init__(self, result):
         self.context = result["context"]
-        # Seconds of one item, by name and n.
+        # Seconds of one item, by name and n; rows that count none have no entry.
         self.items = {}
         # All there is of a run, its counters among it.
         self.counters = {}
@@ -30,13 +30,14 @@ class Figures:
             name = run["name"].removeprefix("BM_").split("/iterations:")[0]
             head, _, n = name.rpartition("/")
             key = (head, int(n)) if n.isdigit() else (name, 0)
-            self.items[key] = 1.0 / run["items_per_second"]
+            if "items_per_second" in run:
+                self.items[key] = 1.0 / run["items_per_second"]
             self.counters[key] = run
             unit = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
             self.calls[key] = run["cpu_time"] * unit[run["time_unit"]]
 
     def sizes(self, head):
-        return sorted(n for name, n in self.items if name == head)
+        return sorted(n for name, n in self.calls if name == head)
 
 
 def ratio(slow, fast):
