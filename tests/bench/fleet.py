@@ -24,6 +24,7 @@ import grpc  # noqa: E402
 from google.protobuf import timestamp_pb2  # noqa: E402
 
 import revisit_server  # noqa: E402
+from revisit_server import processor_seconds  # noqa: E402
 from stubs import api  # noqa: E402
 
 revisit_server.START_SECONDS = 300
@@ -233,11 +234,12 @@ def ask_store(store, sql):
         database.close()
 
 
-def await_snapshot(store, poses):
-    """Until so few poses have come since the last one that no other is due."""
+def await_snapshots(store, poses, vehicles=1):
+    """Until so few poses of each vehicle have come since its last one that no other is
+    due."""
     deadline = time.monotonic() + 120
-    while ask_store(store, "SELECT coalesce(max(last_sequence), 0) "
-                    "FROM snapshots") <= poses - SNAPSHOT_POSES:
+    while ask_store(store, "SELECT count(*) FROM snapshots WHERE last_sequence > "
+                    f"{poses - SNAPSHOT_POSES}") < vehicles:
         assert time.monotonic() < deadline, "no snapshot was written"
         time.sleep(0.05)
 
@@ -247,7 +249,66 @@ def stored_bytes(store, poses):
     snapshot = ask_store(
         store, "SELECT coalesce((SELECT sum(length(payload)) FROM snapshots), "
         "0) + coalesce((SELECT sum(length(payload)) FROM snapshot_parts), 0)")
-    return f"{size / poses:.1f}", f"{snapshot / poses:.1f}"
+    return size / poses, snapshot / poses
+
+
+def load_of(stores, store, names, *flags):
+    """Milliseconds by the clock and of the server's processor that a vehicle takes to
+    load, bytes by which the server grows for all of them, and what it says then."""
+    with stores.server(store, *flags) as server:
+        client = Client(server)
+        client.info()
+        empty = settled_memory(client)
+        used = processor_seconds(server.pid)
+        took = sum(seconds_of(client.touch, name) for name in names)
+        used = processor_seconds(server.pid) - used
+        return {"ms": took / len(names) * 1e3, "cpu_ms": used / len(names) * 1e3,
+                "grown": settled_memory(client) - empty, "info": client.info()}
+
+
+def measure_kind(stores, nodes, vehicles=1, space=api.STATE_SPACE_PLANAR,
+                 model=api.CORRELATION_MODEL_DEAD_RECKONING):
+    """Bytes a node of vehicles of so many nodes each, and what they take to load: from
+    the snapshot where there is one, and from the poses."""
+    store = "kind"
+    names = [f"v{i}" for i in range(vehicles)]
+    parts = list(batches(nodes, space, model))
+    total = vehicles * nodes
+    with stores.server(store) as server:
+        client = Client(server)
+        for name in names:
+            client.create(name, space, model)
+        empty = settled_memory(client)
+        # What there is to a process once is in the first quarter.
+        quarter, sent = None, 0
+        for name in names:
+            for poses in parts:
+                client.append(name, poses)
+                sent += total / vehicles / len(parts)
+                if quarter is None and sent >= total / 4:
+                    quarter = (settled_memory(client),
+                               client.info().resident_node_count)
+        streamed = settled_memory(client)
+        if nodes >= SNAPSHOT_POSES:
+            await_snapshots(stores.directory / store, nodes, vehicles)
+        info = client.info()
+    loaded = load_of(stores, store, names)
+    figures = {
+        "nodes": nodes, "vehicles": vehicles,
+        "graph_bytes": info.resident_bytes / info.resident_node_count,
+        "streamed_bytes": (streamed - empty) / info.resident_node_count,
+        "marginal_bytes": ((streamed - quarter[0]) /
+                           max(1, info.resident_node_count - quarter[1])),
+        "loaded_bytes": loaded["grown"] / loaded["info"].resident_node_count,
+        "snapshot_bytes": stored_bytes(stores.directory / store, total)[1],
+        "snapshot": None}
+    if nodes >= SNAPSHOT_POSES:
+        figures["snapshot"] = {"ms": loaded["ms"], "cpu_ms": loaded["cpu_ms"]}
+    # Without snapshots, the first load removes it.
+    replayed = load_of(stores, store, names, "--snapshot-poses", 0)
+    figures["poses"] = {"ms": replayed["ms"], "cpu_ms": replayed["cpu_ms"]}
+    shutil.rmtree(stores.directory / store)
+    return figures
 
 
 def measure_kinds(stores, nodes):
@@ -257,44 +318,13 @@ def measure_kinds(stores, nodes):
         "ms to load", "from poses")
     for space_name, space in SPACES:
         for model_name, model in MODELS:
-            store = f"{space_name}-{model_name}".lower().replace("_", "-")
-            with stores.server(store) as server:
-                client = Client(server)
-                client.create("v", space, model)
-                empty = settled_memory(client)
-                # What there is to a process once is in the first quarter.
-                quarter = None
-                for part, poses in enumerate(batches(nodes, space, model), 1):
-                    client.append("v", poses)
-                    if quarter is None and part * BATCH >= nodes / 4:
-                        quarter = (settled_memory(client),
-                                   client.info().resident_node_count)
-                streamed = settled_memory(client)
-                if nodes >= SNAPSHOT_POSES:
-                    await_snapshot(stores.directory / store, nodes)
-                info = client.info()
-                marginal = ((streamed - quarter[0]) /
-                            max(1, info.resident_node_count - quarter[1]))
-                streamed -= empty
-            with stores.server(store) as server:
-                client = Client(server)
-                client.info()
-                empty = settled_memory(client)
-                load = seconds_of(client.touch, "v")
-                loaded = settled_memory(client) - empty
-                info = client.info()
-            snapshot = stored_bytes(stores.directory / store, nodes)[1]
-            with stores.server(store, "--snapshot-poses", 0) as server:
-                client = Client(server)
-                client.info()
-                replay = seconds_of(client.touch, "v")
+            figures = measure_kind(stores, nodes, 1, space, model)
             row(f"{space_name} {model_name}",
-                f"{info.resident_bytes / info.resident_node_count:.1f}",
-                f"{streamed / info.resident_node_count:.1f}",
-                f"{marginal:.1f}",
-                f"{loaded / info.resident_node_count:.1f}",
-                snapshot, f"{load * 1e3:.0f}", f"{replay * 1e3:.0f}")
-            shutil.rmtree(stores.directory / store)
+                *(f"{figures[name]:.1f}" for name in (
+                    "graph_bytes", "streamed_bytes", "marginal_bytes",
+                    "loaded_bytes", "snapshot_bytes")),
+                *(f"{figures[way]['ms']:.0f}" if figures[way] else "-"
+                  for way in ("snapshot", "poses")))
 
 
 def measure_fleet(stores, vehicles, nodes):
@@ -393,11 +423,11 @@ def measure_long(stores, nodes):
         row("in memory, as streamed: bytes a node", f"{grown / nodes:.1f}")
         start = time.perf_counter()
         if nodes >= SNAPSHOT_POSES:
-            await_snapshot(stores.directory / "long", nodes)
+            await_snapshots(stores.directory / "long", nodes)
             row("until its snapshot is written",
                 milliseconds(time.perf_counter() - start))
     row("store: bytes a pose, of which the snapshot",
-        *stored_bytes(stores.directory / "long", nodes))
+        *(f"{count:.1f}" for count in stored_bytes(stores.directory / "long", nodes)))
     start = time.perf_counter()
     with stores.server("long") as server:
         client = Client(server)
