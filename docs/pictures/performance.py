@@ -205,17 +205,19 @@ def message_table(figures):
 
 def vehicle_table(figures):
     return table(
-        ["vehicles", *INGEST_HEAD, "KiB an idle stream", "streams a connection"],
-        [[row["vehicles"], *ingest_cells(row), row["stream_kib"],
-          row["revisit"]["vehicles_a_connection"]] for row in figures["vehicles"]])
+        ["vehicles", *INGEST_HEAD, "streams a connection"],
+        [[row["vehicles"], *ingest_cells(row), row["revisit"]["vehicles_a_connection"]]
+         for row in figures["vehicles"]])
 
 
 def pace_table(figures):
     return table(
         ["vehicles", "poses a second wanted", "taken", "ack p50, ms", "p99",
-         "the server's cores"],
+         "the server's cores", "CPU, μs a message", "KiB an idle vehicle"],
         [[row["vehicles"], row["wanted_poses_per_second"], row["poses_per_second"],
-          row["p50_ms"], row["p99_ms"], row["server_cores"]]
+          row["p50_ms"], row["p99_ms"], row["server_cores"],
+          1e6 * row["server_cores"] * row["batch_poses"] / row["poses_per_second"],
+          row["idle_bytes_per_vehicle"] / 1024]
          for row in figures["pace"]])
 
 
@@ -245,8 +247,6 @@ def needs(figures):
     pace = row_at(figures["pace"], "vehicles", FLEET["vehicles"])
     checks = FLEET["vehicles"] * METERS_PER_SECOND / METERS_A_CHECK
     bytes_a_node = row_at(figures["memory"], "nodes", FLEET["nodes"])["streamed_bytes"]
-    stream_kib = row_at([row for row in figures["vehicles"] if row["stream_kib"]],
-                        "vehicles", FLEET["vehicles"])["stream_kib"]
 
     def check_ms(errors):
         return min(figures["core"][f"check_{errors}"],
@@ -257,7 +257,7 @@ def needs(figures):
         "reckoned": checks * check_ms("reckoned") / 1e3,
         "fixes": checks * check_ms("fixes") / 1e3,
         "nodes_bytes": FLEET["vehicles"] * FLEET["nodes"] * bytes_a_node,
-        "streams_bytes": FLEET["vehicles"] * stream_kib * 1024}
+        "streams_bytes": FLEET["vehicles"] * pace["idle_bytes_per_vehicle"]}
 
 
 def sizing_table(figures):

@@ -112,11 +112,7 @@ def measure_vehicles(plan):
     rows = []
     for vehicles in plan["vehicles"]:
         rounds = 1 if vehicles >= MANY_VEHICLES else plan["rounds"]
-        row = measure_ingest(plan, rounds, vehicles, 64, "columns")
-        grown = row["revisit"]["opened_bytes"] - row["revisit"]["started_bytes"]
-        # Of few, what the first one takes of the process is most.
-        row["stream_kib"] = grown / vehicles / 1024 if vehicles >= 100 else None
-        rows.append(row)
+        rows.append(measure_ingest(plan, rounds, vehicles, 64, "columns"))
     return rows
 
 

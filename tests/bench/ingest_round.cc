@@ -37,10 +37,8 @@ json MeasureStreams(Kind kind, const Options& options, int vehicles,
                     int batch_poses) {
   const int a_connection = VehiclesAConnection(vehicles);
   Server server(kind, options);
-  const double started_bytes = server.process().resident_bytes();
   const LoadOptions load = Load(options, vehicles, batch_poses);
   Streams streams(server, server.AddVehicles(vehicles), a_connection, load);
-  const double opened_bytes = server.process().resident_bytes();
   streams.Start();
   // Until caches and windows are as they stay.
   SleepFor(std::min(0.5, options.seconds / 4.0));
@@ -63,8 +61,6 @@ json MeasureStreams(Kind kind, const Options& options, int vehicles,
   result["client_cpu_us_per_pose"] =
       1e6 * (OwnCpuSeconds() - own_cpu) / std::max(1.0, poses);
   result["vehicles_a_connection"] = a_connection;
-  result["started_bytes"] = started_bytes;
-  result["opened_bytes"] = opened_bytes;
   streams.Stop();
   result["server_peak_bytes"] = server.peak_bytes();
   server.Stop();
@@ -118,8 +114,10 @@ json PaceRound(const Options& options) {
       options.batch_poses == 0 ? kPacedPoses : options.batch_poses;
   const int a_connection = VehiclesAConnection(options.streams);
   Server server(Kind::kRevisit, options);
+  const double started_bytes = SettledBytes(server);
   Streams streams(server, server.AddVehicles(options.streams), a_connection,
                   Load(options, options.streams, batch_poses));
+  const double opened_bytes = SettledBytes(server);
   // Each vehicle sends once before, when more is done than later.
   streams.SendAtRate(options.poses_per_second,
                      options.streams * batch_poses / options.poses_per_second);
@@ -138,6 +136,9 @@ json PaceRound(const Options& options) {
   result["wanted_poses_per_second"] = options.poses_per_second;
   result["poses_per_second"] =
       static_cast<double>(streams.acked_poses() - before) / spent.count();
+  // Of a vehicle whose stream has sent nothing yet, with its connection.
+  result["idle_bytes_per_vehicle"] =
+      (opened_bytes - started_bytes) / options.streams;
   result["server_cores"] = (server.cpu_seconds() - cpu) / spent.count();
   streams.Stop();
   return result;

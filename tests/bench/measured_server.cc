@@ -18,6 +18,9 @@
 namespace revisit::bench {
 namespace {
 
+// The server looks a little more often than this for freed memory that is worth
+// giving back.
+constexpr double kTrimSeconds = 2.5;
 // As many vehicles on connections of their own are as the measurements need.
 constexpr rlim_t kMostConnections = 10'000;
 
@@ -180,6 +183,17 @@ json Server::LogLine(const std::string& event) const {
     if (entry.is_object() && entry.value("event", "") == event) return entry;
   }
   return json::object();
+}
+
+double SettledBytes(const Server& server) {
+  double before = 0.0;
+  double now = server.process().resident_bytes();
+  do {
+    before = now;
+    SleepFor(kTrimSeconds);
+    now = server.process().resident_bytes();
+  } while (std::abs(now - before) > 1e-3 * before);
+  return now;
 }
 
 Streams::Streams(const Server& server, const std::vector<std::string>& ids,

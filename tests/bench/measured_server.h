@@ -72,6 +72,9 @@ class Server {
   ChildProcess process_;
 };
 
+// Waits until resident memory no longer changes by itself, and returns it.
+double SettledBytes(const Server& server);
+
 // Streams of many vehicles, one each.
 class Streams {
  public:

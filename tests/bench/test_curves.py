@@ -137,16 +137,14 @@ def test_the_fleet_that_is_sized_takes_what_its_parts_take():
     points = [[1000, 0.1], [10_000, 2.0], [100_000, 50.0]]
     need = performance.needs({
         "core": {"check_reckoned": points, "check_fixes": [[10_000, 0.5]]},
-        "pace": [{"vehicles": 100, "server_cores": 0.1},
-                 {"vehicles": 500, "server_cores": 0.25}],
-        "vehicles": [{"vehicles": 100, "stream_kib": 60},
-                     {"vehicles": 1000, "stream_kib": 50},
-                     {"vehicles": 1, "stream_kib": None}],
+        "pace": [{"vehicles": 100, "server_cores": 0.1, "idle_bytes_per_vehicle": 60e3},
+                 {"vehicles": 500, "server_cores": 0.25,
+                  "idle_bytes_per_vehicle": 50e3}],
         "memory": [{"nodes": 1000, "streamed_bytes": 200},
                    {"nodes": 10_000, "streamed_bytes": 100}]})
     assert need == pytest.approx({
         "poses": 0.5, "reckoned": 0.4, "fixes": 0.1, "nodes_bytes": 1e9,
-        "streams_bytes": 1000 * 50 * 1024})
+        "streams_bytes": 50e6})
 
 
 def test_rounds_become_one_by_the_median_of_each_number():

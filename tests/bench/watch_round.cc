@@ -29,9 +29,6 @@ constexpr int kBatchPoses = 10;
 // Vehicles have driven a lap and a half before, so that each check that is
 // measured finds places of the lap before it.
 constexpr int kPosesBefore = 3 * kLapPoses / 2;
-// The server looks a little more often than this for freed memory that is worth
-// giving back.
-constexpr double kTrimSeconds = 2.5;
 // Between looks at what is owed: each takes some of what pays it.
 constexpr double kLookSeconds = 0.25;
 // Checks that are owed for longer than this are not waited for.
@@ -49,18 +46,6 @@ double WaitUntilChecked(const Server& server) {
     SleepFor(kLookSeconds);
   }
   return SecondsSince(start);
-}
-
-// Waits until resident memory no longer changes by itself, and returns it.
-double SettledBytes(const Server& server) {
-  double before = 0.0;
-  double now = server.process().resident_bytes();
-  do {
-    before = now;
-    SleepFor(kTrimSeconds);
-    now = server.process().resident_bytes();
-  } while (std::abs(now - before) > 1e-3 * before);
-  return now;
 }
 
 // Drives what comes before the measurement. Vehicles differ in how far they
