@@ -2,8 +2,8 @@
 
 import math
 
-# Of a chart, in pixels: where its axes begin and end from the top, where the names of
-# its series begin, and how far each is from the one before.
+# A chart's axes begin and end so far from the top, in pixels, and the names of its
+# series begin there, each so far from the one before.
 TOP, BOTTOM = 52, 242
 LEGEND, LEGEND_STEP = BOTTOM + 66, 19
 

@@ -20,15 +20,15 @@ from picture import Picture  # noqa: E402
 
 FIGURES = HERE / "performance.json"
 PAGE = HERE.parent / "performance.md"
-# Where figures of one's own go, unless told otherwise.
+# Figures of one's own go here unless the caller names a folder.
 OWN = HERE.parents[1] / "build/curves"
-# Of the file; others are refused.
+# A file of another format is refused.
 FORMAT = 1
 BLOCK = re.compile(r"(<!-- figures: ([a-z]+) -->\n).*?(<!-- end of figures -->)",
                    re.DOTALL)
 WIDTH = 760
 LEFT, RIGHT = (72, 354), (446, 728)
-# The names of both forms in which streams send poses, and how they are drawn.
+# Streams send poses in these forms, each of which has its colour.
 FORMS = {"messages": "orange", "columns": "blue"}
 
 

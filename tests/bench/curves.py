@@ -26,8 +26,9 @@ from revisit_server import BIN  # noqa: E402
 CORE = {"dense_reckoned": "Align/dense/reckoned", "dense_fixes": "Align/dense/fixes",
         "check_reckoned": "Align/streaming/believed",
         "check_fixes": "Align/streaming/fixes"}
-# By sizes, numbers and seconds. Vehicles whose memory is measured have so many nodes
-# together, at least, so that what a process takes by itself is little beside them.
+# A plan names sizes, numbers and seconds. Vehicles whose memory is measured have so
+# many nodes together, at least, so that what a process takes by itself is little beside
+# them.
 FULL = {"sizes": (1000, 10_000, 100_000, 1_000_000), "seconds": 1.0, "rounds": 3,
         "batches": (1, 4, 16, 64, 256, 512), "message_vehicles": 8,
         "vehicles": (1, 10, 100, 1000, 10_000), "pace": (100, 1000, 3000, 10_000),
@@ -35,7 +36,7 @@ FULL = {"sizes": (1000, 10_000, 100_000, 1_000_000), "seconds": 1.0, "rounds": 3
 SMALL = {"sizes": (1000,), "seconds": 0.05, "rounds": 1, "batches": (1, 64),
          "message_vehicles": 2, "vehicles": (1, 100), "pace": (100,),
          "core_seconds": 0.0, "pace_seconds": 1.0, "nodes_together": 2000}
-# What a vehicle sends that keeps to its pace, ten poses a message.
+# A vehicle that keeps to its pace sends as many, in one message each second.
 PACE_POSES_PER_SECOND = 10
 # A round of as many vehicles takes a minute, most of which they take to connect.
 MANY_VEHICLES = 10_000
@@ -173,7 +174,7 @@ def main():
     parser.add_argument("--small", action="store_true")
     parser.add_argument("--into", default=performance.OWN)
     arguments = parser.parse_args()
-    # Said before minutes are spent.
+    # The refusal comes before minutes are spent.
     performance.refuse_small(arguments.small, arguments.into)
     performance.write(measure(SMALL if arguments.small else FULL, arguments.small),
                       arguments.into)

@@ -17,8 +17,8 @@ namespace {
 using Clock = std::chrono::steady_clock;
 using nlohmann::json;
 
-// What many vehicles together do not have acknowledged, so that what is under
-// way bounds neither memory nor the time until the first is acknowledged.
+// Many vehicles together have at most so many poses under way, so that these
+// bound neither memory nor the time until the first is acknowledged.
 constexpr int kMostPosesUnderWay = 65'536;
 // A vehicle that sends at its pace has as many poses a message, unless
 // `--batch-poses` says otherwise.
@@ -136,7 +136,7 @@ json PaceRound(const Options& options) {
   result["wanted_poses_per_second"] = options.poses_per_second;
   result["poses_per_second"] =
       static_cast<double>(streams.acked_poses() - before) / spent.count();
-  // Of a vehicle whose stream has sent nothing yet, with its connection.
+  // A vehicle whose stream has sent nothing takes this, with its connection.
   result["idle_bytes_per_vehicle"] =
       (opened_bytes - started_bytes) / options.streams;
   result["server_cores"] = (server.cpu_seconds() - cpu) / spent.count();

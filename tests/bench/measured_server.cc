@@ -21,7 +21,7 @@ namespace {
 // The server looks a little more often than this for freed memory that is worth
 // giving back.
 constexpr double kTrimSeconds = 2.5;
-// As many vehicles on connections of their own are as the measurements need.
+// The measurements need no more vehicles with connections of their own.
 constexpr rlim_t kMostConnections = 10'000;
 
 using Clock = std::chrono::steady_clock;

@@ -165,7 +165,7 @@ class Caller {
   v1::FindCandidatesResponse found_;
 };
 
-// Where nothing is known yet of what the drive has shown.
+// Measures the search that does not know yet what the drive has shown.
 json FirstSearch(Caller* caller) {
   const Clock::time_point sent = Clock::now();
   const int calls = caller->FindAtLast("vehicles/asked");
@@ -283,7 +283,7 @@ int Run(const Options& options) {
   for (int i = 0; i < options.rounds; ++i) {
     json round;
     if (Wanted(options, "ingest")) round["ingest"] = IngestRound(options);
-    // It is about vehicles by the thousand.
+    // It takes vehicles by the thousand, so that only who asks has it.
     if (options.only == "pace") round["pace"] = PaceRound(options);
     if (Wanted(options, "metrics")) round["metrics"] = MetricsRound(options);
     if (Wanted(options, "query")) round["query"] = QueryRound(options);

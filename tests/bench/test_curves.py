@@ -42,7 +42,7 @@ def drawn(series, **more):
 def test_a_point_lies_at_its_values_on_both_axes():
     dots, words = drawn([chart.Series("one", "blue", [(1, 1), (10, 100), (100, 10)])])
     assert [x for x, _ in dots] == pytest.approx([100, 200, 300])
-    # Down from the top, where 100 is.
+    # The picture's y grows downwards.
     top, bottom = dots[1][1], dots[0][1]
     assert bottom - top == pytest.approx(chart.BOTTOM - chart.TOP)
     assert dots[2][1] == pytest.approx((top + bottom) / 2)
