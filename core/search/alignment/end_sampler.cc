@@ -4,6 +4,7 @@
 #include <cmath>
 #include <iterator>
 #include <limits>
+#include <optional>
 
 #include "core/search/alignment/anchors.h"
 #include "core/search/alignment/search_bounds.h"
@@ -99,10 +100,22 @@ void EndSampler<D>::SampleTogether(const std::size_t* blocks, std::size_t count,
   BlockRatios ratios;
   for (std::size_t b = 0; b < count; ++b) {
     const BlockNodes sought = SoughtIn(inputs_.history, blocks[b]);
-    inputs_.headings->Bound(blocks[b], direction_, &ratios);
+    const auto sample_at = [&](std::size_t i) {
+      return Sampled{blocks[b], i, b * samples_of_block_ + i};
+    };
+    constexpr float kInfinity = std::numeric_limits<float>::infinity();
+    // Only what is above one of these has to be known closely. What is told as
+    // enough is not above it.
+    float enough = kInfinity;
     for (std::size_t i = 0; i < samples_of_block_; ++i) {
-      SampleAround({blocks[b], i, b * samples_of_block_ + i}, sought, ratios,
-                   least, progress);
+      if (const auto most = MostSampled(sample_at(i))) {
+        enough = std::min(
+            enough, std::nextafter(static_cast<float>(*most), -kInfinity));
+      }
+    }
+    inputs_.headings->Bound(blocks[b], direction_, enough, &ratios);
+    for (std::size_t i = 0; i < samples_of_block_; ++i) {
+      SampleAround(sample_at(i), sought, ratios, least, progress);
     }
   }
 }
@@ -118,15 +131,11 @@ void EndSampler<D>::SampleAround(const Sampled& sample,
   const std::size_t begin = sample.number * stride_;
   const double weight = inputs_.recent.weight();
   const double around = most_[sample.at];
-  // Nodes of which the ratio is so much may come to the least log-odds, or to
-  // more than is sampled.
-  const bool possible =
-      batch_.anchors().IsPossible(sample.at) && IsEven(sample);
-  const auto ratio_for = [&](double log_odds) {
-    return possible ? (log_odds - around) / weight : kImpossible;
-  };
-  const double may_be = ratio_for(least);
-  const double kept = ratio_for(inputs_.model.most_log_odds_sampled);
+  const std::optional<double> sampled = MostSampled(sample);
+  const bool possible = sampled.has_value();
+  const double kept = sampled.value_or(kImpossible);
+  // Nodes of which the ratio is so much may come to the least log-odds.
+  const double may_be = (least - around) / weight;
   const std::size_t drifts = DriftsInto(sample.block);
   const auto end_at = [&](std::size_t i, double nodes) {
     const double most = possible ? around + weight * ratios[i]
@@ -159,6 +168,17 @@ void EndSampler<D>::SampleAround(const Sampled& sample,
     --at;
   }
   kept_.insert(at, end);
+}
+
+// The greatest ratio of nodes around a sample with which they come to no more
+// than what is sampled. Nothing where each of them is looked at.
+template <int D>
+std::optional<double> EndSampler<D>::MostSampled(const Sampled& sample) const {
+  if (!batch_.anchors().IsPossible(sample.at) || !IsEven(sample)) {
+    return std::nullopt;
+  }
+  return (inputs_.model.most_log_odds_sampled - most_[sample.at]) /
+         inputs_.recent.weight();
 }
 
 // Whether the nodes that a sample stands for lie about where it does, none of

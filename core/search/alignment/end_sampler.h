@@ -5,6 +5,7 @@
 #define REVISIT_CORE_SEARCH_ALIGNMENT_END_SAMPLER_H_
 
 #include <cstddef>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -74,6 +75,7 @@ class EndSampler {
   void SampleAround(const Sampled& sample, const BlockNodes& sought,
                     const BlockRatios& ratios, double least,
                     SearchProgress* progress);
+  std::optional<double> MostSampled(const Sampled& sample) const;
   bool IsEven(const Sampled& sample) const;
 
   const SearchInputs<D>& inputs_;

@@ -9,16 +9,17 @@
 //
 //   drift_k = drift_(k-1) + noise,  e_k = drift_k + straying.
 //
-// A heading is looked at every few steps. Those that the bins, and up
-// to kMostSlips slips either way, leave open are taken for the likeliest. So
-// the bound holds for paths without more slips than these at a time; each slip
-// costs kSlipCost.
+// A heading is looked at every few steps, and at more of them where that
+// matters. Those that the bins, and up to kMostSlips slips either way, leave
+// open are taken for the likeliest. So the bound holds for paths without more
+// slips than these at a time; each slip costs kSlipCost.
 #ifndef REVISIT_CORE_SEARCH_ALIGNMENT_HEADING_MATCH_H_
 #define REVISIT_CORE_SEARCH_ALIGNMENT_HEADING_MATCH_H_
 
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <memory>
 #include <optional>
 #include <vector>
@@ -47,22 +48,39 @@ class HeadingMatch {
   // For each node of a block, the most that the log-likelihood ratio of a path
   // from it can come to. Remembers it; not thread-safe.
   void Bound(std::size_t block, Direction direction, BlockRatios* most) const;
+  // The same, as closely as headings tell where it is more than `enough`; what
+  // is less than that may be told as so much.
+  void Bound(std::size_t block, Direction direction, float enough,
+             BlockRatios* most) const;
 
  private:
   HeadingMatch(const HeadingBins& bins, NodeIndex history_size)
       : bins_(bins), size_(history_size) {}
 
-  void Find(std::size_t block, Direction direction, BlockRatios* most) const;
+  // The ratios of a block, from few headings; and, of those that are more than
+  // `enough`, from more of them.
+  struct Bounds {
+    BlockRatios most = {};
+    BlockRatios lower = {};
+    float enough = std::numeric_limits<float>::infinity();
+  };
+
+  Bounds& Known(std::size_t block, Direction direction) const;
+  template <typename Use>
+  void WithBins(NodeIndex first, Direction direction, const Use& use) const;
 
   const HeadingBins& bins_;
   NodeIndex size_;
   // Farthest step.
   NodeIndex reach_ = 0;
+  // For paths back in time, and forward: few steps, and more of them.
   float least_ = 0.0F;
-  // For paths back in time, and forward.
   std::array<std::vector<HeadingStep>, 2> steps_;
+  HeadingVariances variances_around_;
+  float least_around_ = 0.0F;
+  std::array<std::vector<HeadingStep>, 2> steps_around_;
   // The bounds that are known, by direction and block.
-  mutable std::array<std::vector<std::unique_ptr<const BlockRatios>>, 2> known_;
+  mutable std::array<std::vector<std::unique_ptr<Bounds>>, 2> known_;
 };
 
 }  // namespace revisit::core

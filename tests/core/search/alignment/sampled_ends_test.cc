@@ -74,9 +74,9 @@ struct TownSearch {
   RelativeModel model;
 };
 
-std::vector<NodeIndex> Queries() {
+std::vector<NodeIndex> Queries(NodeIndex apart = 613) {
   std::vector<NodeIndex> queries;
-  for (NodeIndex query = 500; query < kNodes; query += 613) {
+  for (NodeIndex query = 500; query < kNodes; query += apart) {
     queries.push_back(query);
   }
   return queries;
@@ -167,7 +167,9 @@ TEST(HeadingMatchTest, NoPathGainsMoreUnlessItSlipsMore) {
   std::size_t slipped = 0;
   std::size_t paths = 0;
   double to_spare = 0.0;
-  for (const NodeIndex query : Queries()) {
+  double to_spare_closely = 0.0;
+  double least_to_spare = 100.0;
+  for (const NodeIndex query : Queries(251)) {
     const Query asked = search.QueryAt(query);
     const RecentPath<3> recent(asked, search.model);
     const History past = search.PastOf(asked);
@@ -176,15 +178,20 @@ TEST(HeadingMatchTest, NoPathGainsMoreUnlessItSlipsMore) {
     const auto all = AlignRelative(asked, past, search.model, nullptr);
     for (const Direction way : {Direction::kSame, Direction::kOpposite}) {
       BlockRatios most;
+      BlockRatios closely;
       for (const ScoredEnd& end : all->ends(way)) {
         const auto node = static_cast<std::size_t>(end.node);
         if (node % NodeBlock::kSize == 0) {
           match->Bound(node / NodeBlock::kSize, way, &most);
+          match->Bound(node / NodeBlock::kSize, way, 0.0F, &closely);
         }
         const double ratio = all->match(way, end.node).log_likelihood_ratio;
-        const double bound = most[node % NodeBlock::kSize];
+        const double bound = closely[node % NodeBlock::kSize];
         ++paths;
-        to_spare += bound - ratio;
+        to_spare += most[node % NodeBlock::kSize] - ratio;
+        to_spare_closely += bound - ratio;
+        least_to_spare = std::min(least_to_spare, bound - ratio);
+        EXPECT_LE(bound, most[node % NodeBlock::kSize]);
         if (ratio <= bound) continue;
         ++slipped;
         EXPECT_GT(Slipped(all->Path(way, end.node)), kMostSlips)
@@ -193,9 +200,39 @@ TEST(HeadingMatchTest, NoPathGainsMoreUnlessItSlipsMore) {
     }
   }
   std::cout << paths << " paths, " << slipped << " of which slipped; "
-            << to_spare / static_cast<double>(paths) << " nats to spare\n";
+            << to_spare / static_cast<double>(paths) << " nats to spare, "
+            << to_spare_closely / static_cast<double>(paths)
+            << " closely, at least " << least_to_spare << "\n";
   EXPECT_GT(paths, 100000u);
   EXPECT_LT(1000 * slipped, paths);
+  EXPECT_LT(to_spare_closely, 0.9 * to_spare);
+}
+
+TEST(HeadingMatchTest, BoundsDoNotDependOnThoseAskedForBefore) {
+  TownSearch search;
+  const Query asked = search.QueryAt(kNodes - 1);
+  const RecentPath<3> recent(asked, search.model);
+  const History past = search.PastOf(asked);
+  const auto match = HeadingMatch::Make<3>(asked, past, recent);
+  ASSERT_TRUE(match);
+  std::size_t lowered = 0;
+  for (std::size_t block = 0; block < 20; ++block) {
+    BlockRatios most;
+    match->Bound(block, Direction::kSame, &most);
+    for (const float enough : {20.0F, 5.0F, 10.0F, -1.0F, 40.0F}) {
+      BlockRatios found;
+      match->Bound(block, Direction::kSame, enough, &found);
+      BlockRatios wanted;
+      HeadingMatch::Make<3>(asked, past, recent)
+          ->Bound(block, Direction::kSame, enough, &wanted);
+      EXPECT_EQ(found, wanted) << block << " " << enough;
+      for (std::size_t i = 0; i < found.size(); ++i) {
+        lowered += found[i] < most[i] ? 1 : 0;
+        EXPECT_GE(found[i], std::min(most[i], enough));
+      }
+    }
+  }
+  EXPECT_GT(lowered, 100u);
 }
 
 TEST(HeadingMatchTest, ShortPathsTellNothing) {
