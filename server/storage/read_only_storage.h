@@ -86,6 +86,9 @@ class ReadOnlyStorage final : public Reader {
   void DropSnapshot(VehicleKey, Done done) override {
     done(OpenedForReading());
   }
+  void PutMarks(VehicleKey, std::string, Done done) override {
+    done(OpenedForReading());
+  }
   absl::Status CheckWritable() override { return OpenedForReading(); }
 };
 

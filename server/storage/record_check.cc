@@ -195,6 +195,13 @@ absl::Status CheckSnapshotPartRow(std::int64_t format, std::int64_t checksum,
       "part " + std::to_string(number) + " of a stored snapshot", {});
 }
 
+absl::Status CheckMarksRow(std::int64_t format, std::int64_t checksum,
+                           std::int64_t snapshot, absl::string_view marks) {
+  return CheckRow(format, checksum,
+                  ChecksumOfSnapshotPart(format, snapshot, kMarksPart, marks),
+                  "row of stored marks", {});
+}
+
 absl::Status MissingSnapshotPart(std::uint32_t number) {
   return Corrupt(
       "part " + std::to_string(number) + " of a stored snapshot is missing",

@@ -93,6 +93,8 @@ absl::Status CheckSnapshotRow(std::int64_t format, std::int64_t checksum,
 absl::Status CheckSnapshotPartRow(std::int64_t format, std::int64_t checksum,
                                   std::int64_t snapshot, std::uint32_t number,
                                   absl::string_view part);
+absl::Status CheckMarksRow(std::int64_t format, std::int64_t checksum,
+                           std::int64_t snapshot, absl::string_view marks);
 // DATA_LOSS (STORE_CORRUPT).
 absl::Status MissingSnapshotPart(std::uint32_t number);
 

@@ -35,6 +35,10 @@ std::int64_t ChecksumOfSnapshot(std::int64_t format, VehicleKey key,
 std::int64_t ChecksumOfSnapshotPart(std::int64_t format, std::int64_t snapshot,
                                     std::uint32_t number,
                                     absl::string_view payload);
+// The marks of a vehicle (Storage::PutMarks()) are the part of this number,
+// which none of a snapshot has: so they go with the others, also where a server
+// of the version before, which does not know them, changes the poses.
+inline constexpr std::uint32_t kMarksPart = 0x7fffffff;
 
 std::int64_t ChecksumOfCheck(std::int64_t format, VehicleKey key,
                              const CheckRecord& row);

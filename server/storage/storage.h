@@ -212,6 +212,18 @@ class Storage {
     return absl::OkStatus();
   }
 
+  // ---- What searches have learned from the marks of a vehicle
+  // (core/search/belief/mark.h), as bytes. It is kept where snapshots are, and
+  // goes in the same steps as they do, and where part 0 of one begins anew.
+
+  // In the place of what was kept before. Some ten kilobytes.
+  virtual void PutMarks(VehicleKey key, std::string marks, Done done);
+  // Nothing if there is none; DATA_LOSS (STORE_CORRUPT) if it is damaged.
+  virtual absl::StatusOr<std::optional<std::string>> GetMarks(
+      VehicleKey /*key*/) {
+    return std::optional<std::string>();
+  }
+
   // Makes this server the owner of the vehicle, and reads it as it is from then
   // on. REQUIRED before any write of the vehicle but its creation, and after
   // one that was answered with UNAVAILABLE or ABORTED. UNAVAILABLE (NOT_OWNER;
@@ -361,6 +373,10 @@ inline void Storage::PutSnapshot(VehicleKey, SnapshotRecord, Done done) {
 
 inline void Storage::DropSnapshot(VehicleKey, Done done) {
   done(absl::OkStatus());
+}
+
+inline void Storage::PutMarks(VehicleKey, std::string, Done done) {
+  done(absl::UnimplementedError("no marks are kept"));
 }
 // NOLINTEND(performance-unnecessary-value-param)
 

@@ -258,6 +258,7 @@ absl::Status ReportSnapshot(Storage& storage, VehicleKey key,
     status = storage.ReadSnapshotParts(key, 0, (*snapshot)->part_count,
                                        [](absl::string_view) { return true; });
   }
+  if (status.ok()) status = storage.GetMarks(key).status();
   if (status.ok() || !IsSame(storage, key, snapshot)) return absl::OkStatus();
   report->damaged_snapshots.push_back("vehicle '" + Printable(id) +
                                       "': " + std::string(status.message()));

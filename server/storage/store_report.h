@@ -80,8 +80,8 @@ absl::Status ReportVehicle(Storage& storage, const std::string& id,
 // cannot be read.
 absl::Status ReportGroups(Storage& storage, StoreReport* report);
 
-// Reads a vehicle's snapshot whole, and adds it to the report's counts, or to
-// its damaged ones. A server may replace or remove it meanwhile.
+// Reads a vehicle's snapshot whole, and its marks, and adds it to the report's
+// counts, or to its damaged ones. A server may replace or remove it meanwhile.
 // Answers why it is damaged; OK if it is not.
 absl::Status ReportSnapshot(Storage& storage, VehicleKey key,
                             const std::string& id, StoreReport* report);

@@ -184,6 +184,13 @@ class HeldStorage : public Storage {
     Submit(std::move(done),
            [=](Done then) { storage_->DropSnapshot(key, std::move(then)); });
   }
+  void PutMarks(VehicleKey key, std::string marks, Done done) override {
+    Submit(std::move(done),
+           [=](Done then) { storage_->PutMarks(key, marks, std::move(then)); });
+  }
+  absl::StatusOr<std::optional<std::string>> GetMarks(VehicleKey key) override {
+    return storage_->GetMarks(key);
+  }
   absl::StatusOr<std::optional<SnapshotRecord>> GetSnapshot(
       VehicleKey key) override {
     return storage_->GetSnapshot(key);

@@ -390,6 +390,21 @@ absl::Status MemoryStorage::ReadSnapshotParts(
   return absl::OkStatus();
 }
 
+void MemoryStorage::PutMarks(VehicleKey key, std::string marks, Done done) {
+  done(Change(key, 0, [&](Vehicle& vehicle) {
+    vehicle.marks = marks;
+    return absl::OkStatus();
+  }));
+}
+
+absl::StatusOr<std::optional<std::string>> MemoryStorage::GetMarks(
+    VehicleKey key) {
+  const std::lock_guard<std::mutex> guard(mutex_);
+  const auto found = vehicles_.find(key);
+  if (found == vehicles_.end()) return std::optional<std::string>();
+  return found->second.marks;
+}
+
 absl::StatusOr<VehicleRecord> MemoryStorage::GetVehicle(const std::string& id) {
   const std::lock_guard<std::mutex> guard(mutex_);
   for (const auto& [key, vehicle] : vehicles_) {

@@ -61,6 +61,8 @@ class MemoryStorage : public Storage {
   absl::Status ReadSnapshotParts(
       VehicleKey key, std::uint32_t first, std::uint32_t end,
       const std::function<bool(absl::string_view)>& visit) override;
+  void PutMarks(VehicleKey key, std::string marks, Done done) override;
+  absl::StatusOr<std::optional<std::string>> GetMarks(VehicleKey key) override;
 
   // The answer of MostBatchBytes().
   void SetMostBatchBytes(std::size_t bytes) { most_batch_bytes_ = bytes; }
@@ -118,10 +120,12 @@ class MemoryStorage : public Storage {
     std::map<std::uint64_t, CheckRecord> checks;
     std::vector<std::string> snapshot_parts;
     std::optional<SnapshotRecord> snapshot;
+    std::optional<std::string> marks;
 
     void DropSnapshot() {
       snapshot_parts.clear();
       snapshot.reset();
+      marks.reset();
     }
   };
 

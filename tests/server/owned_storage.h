@@ -218,6 +218,13 @@ class OwnedStorage : public Storage {
     if (Refuses(key, done)) return;
     storage_->DropSnapshot(key, std::move(done));
   }
+  void PutMarks(VehicleKey key, std::string marks, Done done) override {
+    if (Refuses(key, done)) return;
+    storage_->PutMarks(key, std::move(marks), std::move(done));
+  }
+  absl::StatusOr<std::optional<std::string>> GetMarks(VehicleKey key) override {
+    return storage_->GetMarks(key);
+  }
   absl::StatusOr<std::optional<SnapshotRecord>> GetSnapshot(
       VehicleKey key) override {
     return storage_->GetSnapshot(key);

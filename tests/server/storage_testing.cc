@@ -65,6 +65,13 @@ absl::Status BlockingWrites::DropSnapshot(VehicleKey key) {
   });
 }
 
+absl::Status BlockingWrites::PutMarks(VehicleKey key,
+                                      const std::string& marks) {
+  return Blocking([&](Storage::Done done) {
+    storage_->PutMarks(key, marks, std::move(done));
+  });
+}
+
 absl::Status BlockingWrites::Confirm(VehicleKey key) {
   return Blocking([&](Storage::Done done) {
     storage_->ConfirmOwned(key, std::move(done));
@@ -82,6 +89,12 @@ std::string SnapshotOf(Storage& storage, VehicleKey key) {
         return true;
       });
   return read.ok() ? text + ", '" + (*snapshot)->payload + "'" : "part damaged";
+}
+
+std::string MarksOf(Storage& storage, VehicleKey key) {
+  const auto marks = storage.GetMarks(key);
+  if (!marks.ok()) return "damaged";
+  return marks->value_or("none");
 }
 
 absl::Status BlockingWrites::Update(VehicleKey key, const std::string& payload,

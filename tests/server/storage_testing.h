@@ -53,6 +53,7 @@ class BlockingWrites {
                                const std::string& part);
   absl::Status PutSnapshot(VehicleKey key, const SnapshotRecord& snapshot);
   absl::Status DropSnapshot(VehicleKey key);
+  absl::Status PutMarks(VehicleKey key, const std::string& marks);
   absl::Status Confirm(VehicleKey key);
   // Deletes the pair and keeps a record of it that has its id alone.
   absl::Status DeletePair(VehicleKey key, PairKind kind, const std::string& id,
@@ -94,6 +95,8 @@ absl::StatusOr<std::vector<BatchRecord>> ReadAll(
 // The snapshot of a vehicle with its parts, such as "to 7: one two, 'rest'";
 // "none" if there is none, or the word for what is wrong.
 std::string SnapshotOf(Storage& storage, VehicleKey key);
+// The marks of a vehicle; "none" or "damaged".
+std::string MarksOf(Storage& storage, VehicleKey key);
 
 // "id 7: 3 closures, 1 rejected, to 12, revision 5, 'payload'" and the like, to
 // compare whole records.

@@ -123,6 +123,14 @@ absl::Status PostgresReader::ReadSnapshotParts(
   });
 }
 
+absl::StatusOr<std::optional<std::string>> PostgresReader::GetMarks(
+    VehicleKey key) {
+  using Found = std::optional<std::string>;
+  return Read<Found>([&](PostgresConnection& connection) {
+    return FindMarks(connection, key);
+  });
+}
+
 absl::StatusOr<std::vector<StorageUser>> PostgresReader::ListUsers() {
   return Read<std::vector<StorageUser>>(ListLivingServers);
 }

@@ -64,6 +64,7 @@ class PostgresReader : public Storage {
   absl::Status ReadSnapshotParts(
       VehicleKey key, std::uint32_t first, std::uint32_t end,
       const std::function<bool(absl::string_view)>& visit) override;
+  absl::StatusOr<std::optional<std::string>> GetMarks(VehicleKey key) override;
   // Asks the database.
   absl::StatusOr<std::vector<StorageUser>> ListUsers() override;
 

@@ -23,22 +23,37 @@ constexpr std::int64_t kPartsAtOnce = 4;
 constexpr Statement kNextSnapshot = {
     "next_snapshot",
     "SELECT nextval(pg_get_serial_sequence('snapshots', 'key')::regclass)"};
+#define REVISIT_OR_REPLACE_PART                    \
+  "ON CONFLICT (snapshot_key, number) DO UPDATE "  \
+  "SET format = excluded.format, checksum = "      \
+  "excluded.checksum, payload = excluded.payload " \
+  "RETURNING snapshot_key"
+// Begins a snapshot, of which there is no part yet.
+#define REVISIT_BEGIN_SNAPSHOT(AFTER)                                      \
+  ", s AS (INSERT INTO snapshots (key, vehicle_key, format, "              \
+  "last_sequence, part_count, checksum, payload) SELECT $5::int8, h.key, " \
+  "$7::int8, 0, 0, 0, '' FROM h " AFTER "RETURNING key) "
 // The snapshot before is gone when the new one comes, because its row is passed
 // on.
 constexpr Statement kPutFirstPart = {
-    "put_first_snapshot_part", REVISIT_SNAPSHOT_FENCE REVISIT_FORGET_SNAPSHOT
-    ", s AS (INSERT INTO snapshots (key, vehicle_key, format, last_sequence, "
-    "part_count, checksum, payload) SELECT $5::int8, h.key, $7::int8, 0, 0, 0, "
-    "'' FROM h LEFT JOIN d ON true RETURNING key) " REVISIT_INSERT_PART
-    "RETURNING snapshot_key"};
+    "put_first_snapshot_part",
+    REVISIT_SNAPSHOT_FENCE REVISIT_FORGET_SNAPSHOT REVISIT_BEGIN_SNAPSHOT(
+        "LEFT JOIN d ON true ") REVISIT_INSERT_PART "RETURNING snapshot_key"};
 constexpr Statement kPutPart = {
     "put_snapshot_part", REVISIT_SNAPSHOT_FENCE
     ", s AS (SELECT t.key FROM h JOIN snapshots t ON t.vehicle_key = h.key "
     "JOIN snapshot_parts p ON p.snapshot_key = t.key AND "
     "p.number = $6::int8 - 1 WHERE t.key = $5::int8) " REVISIT_INSERT_PART
-    "ON CONFLICT (snapshot_key, number) DO UPDATE SET "
-    "format = excluded.format, checksum = excluded.checksum, "
-    "payload = excluded.payload RETURNING snapshot_key"};
+        REVISIT_OR_REPLACE_PART};
+constexpr Statement kPutFirstMarks = {
+    "put_first_marks", REVISIT_SNAPSHOT_FENCE REVISIT_BEGIN_SNAPSHOT("")
+                           REVISIT_INSERT_PART "RETURNING snapshot_key"};
+constexpr Statement kPutMarks = {
+    "put_marks", REVISIT_SNAPSHOT_FENCE
+    ", s AS (SELECT t.key FROM h JOIN snapshots t ON t.vehicle_key = h.key "
+    "WHERE t.key = $5::int8) " REVISIT_INSERT_PART REVISIT_OR_REPLACE_PART};
+#undef REVISIT_BEGIN_SNAPSHOT
+#undef REVISIT_OR_REPLACE_PART
 #undef REVISIT_INSERT_PART
 
 // $5 format, $6 last sequence, $7 number of parts, $8 checksum, $9 payload.
@@ -67,8 +82,13 @@ constexpr Statement kSnapshotKey = {
     "snapshot_key",
     "SELECT (SELECT s.key FROM snapshots s WHERE s.vehicle_key = v.key), "
     "(SELECT count(*) FROM snapshots s JOIN snapshot_parts p ON "
-    "p.snapshot_key = s.key WHERE s.vehicle_key = v.key) "
-    "FROM vehicles v WHERE v.key = $1::int8"};
+    "p.snapshot_key = s.key WHERE s.vehicle_key = v.key AND p.number < "
+    "$2::int8) FROM vehicles v WHERE v.key = $1::int8"};
+constexpr Statement kFindMarks = {
+    "find_marks",
+    "SELECT s.key, p.format, p.checksum, p.payload FROM snapshots s JOIN "
+    "snapshot_parts p ON p.snapshot_key = s.key AND p.number = $2::int8 "
+    "WHERE s.vehicle_key = $1::int8"};
 constexpr Statement kFindSnapshot = {
     "find_snapshot",
     "SELECT format, last_sequence, part_count, checksum, payload "
@@ -101,7 +121,8 @@ struct SnapshotKey {
 // FAILED_PRECONDITION if the vehicle has none.
 absl::StatusOr<SnapshotKey> FindSnapshotKey(PostgresConnection& connection,
                                             VehicleKey key) {
-  const auto rows = connection.Run(kSnapshotKey, Parameters().Add(key));
+  const auto rows = connection.Run(
+      kSnapshotKey, Parameters().Add(key).Add(std::int64_t{kMarksPart}));
   if (!rows.ok()) return rows.status();
   if (rows->size() == 0) return UnknownVehicle(key);
   if (rows->IsNull(0, 0)) return NoSuchSnapshotPart(0);
@@ -109,35 +130,56 @@ absl::StatusOr<SnapshotKey> FindSnapshotKey(PostgresConnection& connection,
                      static_cast<std::uint32_t>(rows->Integer(0, 1))};
 }
 
+// The key of a snapshot that begins.
+absl::StatusOr<SnapshotKey> NextSnapshotKey(PostgresConnection& connection) {
+  const auto next = connection.Run(kNextSnapshot);
+  if (!next.ok()) return next.status();
+  return SnapshotKey{next->Integer(0, 0), 0};
+}
+
+// Runs a statement that writes a part of the snapshot, whose key its checksum
+// covers. `otherwise`: why it writes nothing where the fence holds.
+absl::Status PutPart(PostgresConnection& connection, const Statement& statement,
+                     const Fence& fence,
+                     const absl::StatusOr<SnapshotKey>& snapshot,
+                     std::uint32_t number, const std::string& part,
+                     const absl::Status& otherwise) {
+  if (!snapshot.ok()) return snapshot.status();
+  const auto rows = connection.Run(
+      statement, FenceOf(fence)
+                     .Add(snapshot->key)
+                     .Add(std::int64_t{number})
+                     .Add(kSharedRowFormat)
+                     .Add(ChecksumOfSnapshotPart(kSharedRowFormat,
+                                                 snapshot->key, number, part))
+                     .AddText(part));
+  if (!rows.ok()) return rows.status();
+  if (rows->size() > 0) return absl::OkStatus();
+  return WhyNotWritten(connection, fence, otherwise);
+}
+
 }  // namespace
 
 absl::Status PutSnapshotPartRow(PostgresConnection& connection,
                                 const Fence& fence, std::uint32_t number,
                                 const std::string& part) {
-  // The checksum covers the snapshot's key.
-  std::int64_t snapshot = 0;
   if (number == 0) {
-    const auto next = connection.Run(kNextSnapshot);
-    if (!next.ok()) return next.status();
-    snapshot = next->Integer(0, 0);
-  } else {
-    const auto found = FindSnapshotKey(connection, fence.key);
-    if (!found.ok()) return found.status();
-    snapshot = found->key;
+    return PutPart(connection, kPutFirstPart, fence,
+                   NextSnapshotKey(connection), number, part,
+                   Fenced("the vehicle"));
   }
-  const auto rows = connection.Run(
-      number == 0 ? kPutFirstPart : kPutPart,
-      FenceOf(fence)
-          .Add(snapshot)
-          .Add(std::int64_t{number})
-          .Add(kSharedRowFormat)
-          .Add(ChecksumOfSnapshotPart(kSharedRowFormat, snapshot, number, part))
-          .AddText(part));
-  if (!rows.ok()) return rows.status();
-  if (rows->size() > 0) return absl::OkStatus();
-  return WhyNotWritten(
-      connection, fence,
-      number == 0 ? Fenced("the vehicle") : NoSuchSnapshotPart(number - 1));
+  return PutPart(connection, kPutPart, fence,
+                 FindSnapshotKey(connection, fence.key), number, part,
+                 NoSuchSnapshotPart(number - 1));
+}
+
+absl::Status PutMarksRow(PostgresConnection& connection, const Fence& fence,
+                         const std::string& marks) {
+  auto snapshot = FindSnapshotKey(connection, fence.key);
+  const bool is_first = absl::IsFailedPrecondition(snapshot.status());
+  if (is_first) snapshot = NextSnapshotKey(connection);
+  return PutPart(connection, is_first ? kPutFirstMarks : kPutMarks, fence,
+                 snapshot, kMarksPart, marks, Fenced("the vehicle"));
 }
 
 absl::Status PutSnapshotRow(PostgresConnection& connection, const Fence& fence,
@@ -191,6 +233,19 @@ absl::StatusOr<std::optional<SnapshotRecord>> FindSnapshot(
       CheckSnapshotRow(rows->Integer(0, 0), rows->Integer(0, 3), key, snapshot);
   if (!sound.ok()) return sound;
   return std::optional<SnapshotRecord>(std::move(snapshot));
+}
+
+absl::StatusOr<std::optional<std::string>> FindMarks(
+    PostgresConnection& connection, VehicleKey key) {
+  const auto rows = connection.Run(
+      kFindMarks, Parameters().Add(key).Add(std::int64_t{kMarksPart}));
+  if (!rows.ok()) return rows.status();
+  if (rows->size() == 0) return std::optional<std::string>();
+  const absl::Status sound =
+      CheckMarksRow(rows->Integer(0, 1), rows->Integer(0, 2),
+                    rows->Integer(0, 0), rows->View(0, 3));
+  if (!sound.ok()) return sound;
+  return std::optional<std::string>(rows->Bytes(0, 3));
 }
 
 absl::Status VisitSnapshotParts(

@@ -35,6 +35,8 @@ absl::Status PutSnapshotRow(PostgresConnection& connection, const Fence& fence,
                             const SnapshotRecord& snapshot);
 absl::Status DropSnapshotRow(PostgresConnection& connection,
                              const Fence& fence);
+absl::Status PutMarksRow(PostgresConnection& connection, const Fence& fence,
+                         const std::string& marks);
 
 // Forgets the snapshot within a transaction that changes the poses which it
 // comes from, and that holds the vehicle's head.
@@ -47,6 +49,8 @@ absl::StatusOr<bool> PurgeSnapshots(PostgresConnection& connection);
 // ---- Reads
 
 absl::StatusOr<std::optional<SnapshotRecord>> FindSnapshot(
+    PostgresConnection& connection, VehicleKey key);
+absl::StatusOr<std::optional<std::string>> FindMarks(
     PostgresConnection& connection, VehicleKey key);
 absl::Status VisitSnapshotParts(
     PostgresConnection& connection, VehicleKey key, std::uint32_t first,

@@ -261,6 +261,17 @@ class PostgresStorage : public PostgresReader {
         std::move(done));
   }
 
+  void PutMarks(VehicleKey key, std::string marks, Done done) override {
+    const std::size_t bytes = marks.size();
+    WriterOf(key).Submit(
+        key, bytes,
+        [marks = std::move(marks)](PostgresConnection& connection,
+                                   const Fence& fence) {
+          return PutMarksRow(connection, fence, marks);
+        },
+        std::move(done));
+  }
+
   absl::StatusOr<VehicleRecord> TakeVehicle(const std::string& id) override {
     return Read<VehicleRecord>(
         [&](PostgresConnection& connection) { return Take(connection, id); });

@@ -36,6 +36,29 @@ absl::StatusOr<std::int64_t> InsertSnapshot(SqliteDatabase& database,
   return database.LastInsertedKey();
 }
 
+// The key of the vehicle's snapshot, which is begun where there is none.
+absl::StatusOr<std::int64_t> SnapshotKeyOrNew(SqliteDatabase& database,
+                                              VehicleKey key) {
+  const absl::StatusOr<std::int64_t> found = SnapshotKey(database, key);
+  return absl::IsFailedPrecondition(found.status())
+             ? InsertSnapshot(database, key)
+             : found;
+}
+
+absl::Status PutPart(SqliteDatabase& database, std::int64_t snapshot,
+                     std::uint32_t number, const std::string& part) {
+  return database
+      .Prepare(
+          "INSERT OR REPLACE INTO snapshot_parts (snapshot_key, number, "
+          "format, checksum, payload) VALUES (?1, ?2, ?3, ?4, ?5)")
+      .Bind(1, snapshot)
+      .Bind(2, number)
+      .Bind(3, kStoreFormat)
+      .Bind(4, ChecksumOfSnapshotPart(kStoreFormat, snapshot, number, part))
+      .BindBlob(5, part)
+      .Run();
+}
+
 // How many of parts [first, end) are kept.
 absl::StatusOr<std::uint32_t> CountParts(SqliteDatabase& database,
                                          std::int64_t snapshot,
@@ -84,26 +107,16 @@ absl::Status PutSnapshotPartRow(SqliteDatabase& database, VehicleKey key,
     if (!before.ok()) return before.status();
     if (*before == 0) return NoSuchSnapshotPart(number - 1);
   }
-  return database
-      .Prepare(
-          "INSERT OR REPLACE INTO snapshot_parts (snapshot_key, number, "
-          "format, checksum, payload) VALUES (?1, ?2, ?3, ?4, ?5)")
-      .Bind(1, *snapshot)
-      .Bind(2, number)
-      .Bind(3, kStoreFormat)
-      .Bind(4, ChecksumOfSnapshotPart(kStoreFormat, *snapshot, number, part))
-      .BindBlob(5, part)
-      .Run();
+  return PutPart(database, *snapshot, number, part);
 }
 
 absl::Status PutSnapshotRow(SqliteDatabase& database, VehicleKey key,
                             const SnapshotRecord& snapshot) {
   const absl::StatusOr<std::string> id = VehicleId(database, key);
   if (!id.ok()) return id.status();
-  absl::StatusOr<std::int64_t> found = SnapshotKey(database, key);
-  if (absl::IsFailedPrecondition(found.status()) && snapshot.part_count == 0) {
-    found = InsertSnapshot(database, key);
-  }
+  const absl::StatusOr<std::int64_t> found =
+      snapshot.part_count == 0 ? SnapshotKeyOrNew(database, key)
+                               : SnapshotKey(database, key);
   if (!found.ok()) return found.status();
   const absl::StatusOr<std::uint32_t> kept =
       CountParts(database, *found, 0, snapshot.part_count);
@@ -125,6 +138,32 @@ absl::Status PutSnapshotRow(SqliteDatabase& database, VehicleKey key,
 absl::Status DropSnapshotRow(SqliteDatabase& database, VehicleKey key) {
   const absl::StatusOr<std::string> id = VehicleId(database, key);
   return id.ok() ? ForgetSnapshot(database, key) : id.status();
+}
+
+absl::Status PutMarksRow(SqliteDatabase& database, VehicleKey key,
+                         const std::string& marks) {
+  const absl::StatusOr<std::string> id = VehicleId(database, key);
+  if (!id.ok()) return id.status();
+  const absl::StatusOr<std::int64_t> snapshot = SnapshotKeyOrNew(database, key);
+  if (!snapshot.ok()) return snapshot.status();
+  return PutPart(database, *snapshot, kMarksPart, marks);
+}
+
+absl::StatusOr<std::optional<std::string>> FindMarks(SqliteDatabase& database,
+                                                     VehicleKey key) {
+  SqliteStatement row = database.Prepare(
+      "SELECT s.key, p.format, p.checksum, p.payload FROM snapshots s JOIN "
+      "snapshot_parts p ON p.snapshot_key = s.key AND p.number = ?2 WHERE "
+      "s.vehicle_key = ?1");
+  const absl::StatusOr<bool> found =
+      row.Bind(1, key).Bind(2, kMarksPart).Step();
+  if (!found.ok()) return found.status();
+  if (!*found) return std::optional<std::string>();
+  std::string marks = row.Bytes(3);
+  const absl::Status sound =
+      CheckMarksRow(row.Integer(1), row.Integer(2), row.Integer(0), marks);
+  if (!sound.ok()) return sound;
+  return std::optional<std::string>(std::move(marks));
 }
 
 absl::StatusOr<std::optional<SnapshotRecord>> FindSnapshot(

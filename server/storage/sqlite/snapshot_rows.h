@@ -26,6 +26,10 @@ absl::Status PutSnapshotPartRow(SqliteDatabase& database, VehicleKey key,
 absl::Status PutSnapshotRow(SqliteDatabase& database, VehicleKey key,
                             const SnapshotRecord& snapshot);
 absl::Status DropSnapshotRow(SqliteDatabase& database, VehicleKey key);
+absl::Status PutMarksRow(SqliteDatabase& database, VehicleKey key,
+                         const std::string& marks);
+absl::StatusOr<std::optional<std::string>> FindMarks(SqliteDatabase& database,
+                                                     VehicleKey key);
 absl::StatusOr<std::optional<SnapshotRecord>> FindSnapshot(
     SqliteDatabase& database, VehicleKey key);
 absl::Status VisitSnapshotParts(

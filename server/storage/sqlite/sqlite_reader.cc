@@ -105,6 +105,12 @@ absl::Status SqliteReader::ReadSnapshotParts(
   });
 }
 
+absl::StatusOr<std::optional<std::string>> SqliteReader::GetMarks(
+    VehicleKey key) {
+  return Read<std::optional<std::string>>(
+      [&](SqliteDatabase& database) { return FindMarks(database, key); });
+}
+
 std::optional<StorageRoom> SqliteReader::GetRoom() const {
   StorageRoom room;
   for (const std::string& file : {path_, LogOf(path_)}) {

@@ -56,6 +56,7 @@ class SqliteReader : public Storage {
   absl::Status ReadSnapshotParts(
       VehicleKey key, std::uint32_t first, std::uint32_t end,
       const std::function<bool(absl::string_view)>& visit) override;
+  absl::StatusOr<std::optional<std::string>> GetMarks(VehicleKey key) override;
   std::optional<StorageRoom> GetRoom() const override;
   GroupStorage& Groups() override { return groups_; }
 

@@ -216,6 +216,16 @@ class SqliteStorage : public SqliteReader {
         std::move(done), PendingWrite::Need::kLittle);
   }
 
+  void PutMarks(VehicleKey key, std::string marks, Done done) override {
+    const std::size_t bytes = marks.size();
+    Submit(
+        bytes,
+        [key, marks = std::move(marks)](SqliteDatabase& database) {
+          return PutMarksRow(database, key, marks);
+        },
+        std::move(done));
+  }
+
   absl::Status CheckWritable() override {
     return writer_->HasRoom() ? absl::OkStatus()
                               : StorageFull("the disk of the store is full");

@@ -38,7 +38,8 @@
 //                        since format 4
 //   snapshots            a row per vehicle with a snapshot, or with one in the
 //                        making, which has no payload yet; since format 5
-//   snapshot_parts       a row per part of a snapshot; since format 5
+//   snapshot_parts       a row per part of a snapshot, and one with the marks
+//                        of the vehicle (kMarksPart); since format 5
 //   deleted_snapshots    keys of snapshots whose parts are still to be removed,
 //                        a few at a time; since format 5
 //   deleted_pose_pairs   a row per loop closure or rejected candidate that was

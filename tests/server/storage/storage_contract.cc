@@ -800,6 +800,72 @@ TEST_P(StorageContract, RemovesASnapshotWithWhatItComesFrom) {
   }
 }
 
+TEST_P(StorageContract, KeepsMarksBesideASnapshotOrWithoutOne) {
+  if (!storage().KeepsSnapshots()) GTEST_SKIP() << "it keeps none";
+  const VehicleKey key = *write().Create("truck");
+  const VehicleKey other = *write().Create("other");
+  ASSERT_THAT(write().Append(key, Batch(1, 7, 2, "seven")), IsOk());
+  EXPECT_EQ(MarksOf(storage(), key), "none");
+  ASSERT_THAT(write().PutMarks(key, "first"), IsOk());
+  ASSERT_THAT(write().PutMarks(key, "marks"), IsOk());
+  ASSERT_THAT(write().PutMarks(other, ""), IsOk());
+  store_->Reopen();
+  EXPECT_EQ(MarksOf(storage(), key), "marks");
+  EXPECT_EQ(MarksOf(storage(), other), "");
+  // They are no snapshot, and no part of one.
+  EXPECT_EQ(SnapshotOf(storage(), key), "none");
+  EXPECT_THAT(write().PutSnapshotPart(key, 1, "b"),
+              IsError(StatusCode::kFailedPrecondition, _, _));
+  EXPECT_THAT(write().PutSnapshot(key, {5, 1, "x"}),
+              IsError(StatusCode::kFailedPrecondition, _, _));
+  ASSERT_THAT(write().PutSnapshot(key, {5, 0, "x"}), IsOk());
+  EXPECT_EQ(MarksOf(storage(), key), "marks");
+  EXPECT_EQ(SnapshotOf(storage(), key), "to 5:, 'x'");
+  // The first part begins anew, those behind it do not.
+  ASSERT_THAT(write().PutSnapshotPart(key, 0, "a"), IsOk());
+  EXPECT_EQ(MarksOf(storage(), key), "none");
+  ASSERT_THAT(write().PutMarks(key, "new"), IsOk());
+  ASSERT_THAT(write().PutSnapshotPart(key, 1, "b"), IsOk());
+  ASSERT_THAT(write().PutSnapshot(key, {7, 2, "y"}), IsOk());
+  EXPECT_EQ(MarksOf(storage(), key), "new");
+  EXPECT_EQ(SnapshotOf(storage(), key), "to 7: a b, 'y'");
+  // What moves no poses leaves them alone.
+  ASSERT_THAT(write().Append(key, Batch(8, 1, 3, "eight")), IsOk());
+  ASSERT_THAT(write().Update(key, "payload", 4), IsOk());
+  EXPECT_EQ(MarksOf(storage(), key), "new");
+}
+
+TEST_P(StorageContract, RemovesMarksWithThePosesThatTheyWereFoundIn) {
+  if (!storage().KeepsSnapshots()) GTEST_SKIP() << "it keeps none";
+  const VehicleKey key = *write().Create("truck");
+  ASSERT_THAT(write().Append(key, Batch(1, 4, 2, "four")), IsOk());
+  ASSERT_THAT(write().Append(key, Batch(5, 3, 3, "three")), IsOk());
+  const auto put = [&](const std::string& marks) {
+    ASSERT_THAT(write().PutMarks(key, marks), IsOk());
+    ASSERT_EQ(MarksOf(storage(), key), marks);
+  };
+  put("a");
+  ASSERT_THAT(write().DropDamaged(key, 4, "payload", 4), IsOk());
+  EXPECT_EQ(MarksOf(storage(), key), "none");
+  put("b");
+  EXPECT_FALSE(write().Replace(key, {{Batch(1, 3, 5, "x")}}, 5).ok());
+  EXPECT_EQ(MarksOf(storage(), key), "b");
+  ASSERT_THAT(write().Replace(key, {{Batch(1, 4, 5, "x")}}, 5), IsOk());
+  EXPECT_EQ(MarksOf(storage(), key), "none");
+  put("c");
+  ASSERT_THAT(write().Revise(key, {Batch(1, 4, 0, "FOUR")}, 6), IsOk());
+  EXPECT_EQ(MarksOf(storage(), key), "none");
+  put("d");
+  ASSERT_THAT(write().DropSnapshot(key), IsOk());
+  EXPECT_EQ(MarksOf(storage(), key), "none");
+  put("e");
+  ASSERT_THAT(write().Delete(key), IsOk());
+  EXPECT_EQ(MarksOf(storage(), key), "none");
+  EXPECT_THAT(write().PutMarks(key, "f"),
+              IsError(StatusCode::kNotFound, "VEHICLE_NOT_FOUND", _));
+  EXPECT_EQ(MarksOf(storage(), *write().Create("truck")), "none");
+}
+
 TEST_P(StorageContract, KeepsChecksAndTheirEventsInOneStep) {
   const VehicleKey key = *write().Create("truck");
   ASSERT_THAT(write().Append(key, Batch(1, 9, 2, "nine")), IsOk());
@@ -1076,7 +1142,7 @@ TEST_P(StorageContract, DoesWhatTheModelDoes) {
                  call(BlockingWrites(&model), key.second)};
     };
     const bool has_snapshots = storage().KeepsSnapshots();
-    switch (UniformInt(random, has_snapshots ? -3 : 0, 12)) {
+    switch (UniformInt(random, has_snapshots ? -4 : 0, 12)) {
       case 11:
       case 12: {
         ChecksHead head;
@@ -1135,6 +1201,11 @@ TEST_P(StorageContract, DoesWhatTheModelDoes) {
         });
         break;
       }
+      case -4:
+        both([&](BlockingWrites writes, VehicleKey k) {
+          return writes.PutMarks(k, payload);
+        });
+        break;
       case -1:
         if (UniformInt(random, 0, 4) != 0) break;
         both([&](BlockingWrites writes, VehicleKey k) {
@@ -1283,6 +1354,7 @@ TEST_P(StorageContract, DoesWhatTheModelDoes) {
       if (storage().KeepsSnapshots()) {
         ASSERT_EQ(SnapshotOf(storage(), real_key),
                   SnapshotOf(model, expected.key));
+        ASSERT_EQ(MarksOf(storage(), real_key), MarksOf(model, expected.key));
       }
       if (expected.durable_sequence == 0) continue;
       const auto first = static_cast<std::uint64_t>(

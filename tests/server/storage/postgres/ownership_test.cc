@@ -89,12 +89,13 @@ std::vector<std::pair<const char*, Write>> KindsOfWrites() {
        [](auto w, auto k) {
          return w.PutSnapshot(k, {2, 1, "new"});
        }},
+      {"put marks", [](auto w, auto k) { return w.PutMarks(k, "new"); }},
       {"drop a snapshot", [](auto w, auto k) { return w.DropSnapshot(k); }},
       {"confirm", [](auto w, auto k) { return w.Confirm(k); }},
   };
 }
 
-// A vehicle of two poses, a loop closure and a snapshot, of this server.
+// A vehicle of two poses, a loop closure, a snapshot and marks, of this server.
 VehicleKey Prepare(Storage* storage, const std::string& id) {
   BlockingWrites writes(storage);
   const VehicleKey key = *writes.Create(id);
@@ -105,6 +106,7 @@ VehicleKey Prepare(Storage* storage, const std::string& id) {
               IsOk());
   EXPECT_THAT(writes.PutSnapshotPart(key, 0, "part"), IsOk());
   EXPECT_THAT(writes.PutSnapshot(key, {1, 1, "rest"}), IsOk());
+  EXPECT_THAT(writes.PutMarks(key, "marks"), IsOk());
   return key;
 }
 
@@ -308,6 +310,7 @@ TEST_F(OwnershipTest, NoKindOfWritePassesTheFence) {
     EXPECT_THAT(write(BlockingWrites(a.get()), key), kFenced);
     EXPECT_EQ(Stored(*b, id), before);
     EXPECT_EQ(SnapshotOf(*b, key), "to 1: part, 'rest'");
+    EXPECT_EQ(MarksOf(*b, key), "marks");
     EXPECT_THAT(
         ToTexts(*ReadAll(*b, key, 1, 2)),
         ElementsAre("1+1, revision 2, 'pose 1'", "2+1, revision 3, 'pose 2'"));
@@ -331,6 +334,7 @@ TEST_F(OwnershipTest, NoKindOfWriteGoesToADatabaseThatLacksTheOneBefore) {
     EXPECT_THAT(write(BlockingWrites(a.get()), key), kFenced);
     EXPECT_EQ(Stored(*a, id), before);
     EXPECT_EQ(SnapshotOf(*a, key), "to 1: part, 'rest'");
+    EXPECT_EQ(MarksOf(*a, key), "marks");
     EXPECT_THAT(a->CheckOwned(key), kFenced);
     const auto taken = a->TakeVehicle(id);
     ASSERT_THAT(taken, IsOk());

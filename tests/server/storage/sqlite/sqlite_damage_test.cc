@@ -58,6 +58,29 @@ TEST_F(SqliteStorageTest, DamageOfASnapshotIsFoundWhereverItIs) {
   }
 }
 
+TEST_F(SqliteStorageTest, DamageOfMarksIsFoundWhereverItIs) {
+  for (const std::string& damage : std::vector<std::string>{
+           "UPDATE snapshot_parts SET payload = 'markS'",
+           "UPDATE snapshot_parts SET payload = ''",
+           "UPDATE snapshot_parts SET format = 4",
+           "UPDATE snapshot_parts SET checksum = checksum + 1",
+           "UPDATE snapshot_parts SET snapshot_key = 3 - snapshot_key"}) {
+    SCOPED_TRACE(damage);
+    RemoveStore();
+    const VehicleKey key = MakeStore();
+    {
+      const std::unique_ptr<Storage> storage = MustOpen(Path());
+      BlockingWrites write(storage.get());
+      ASSERT_THAT(write.PutMarks(key, "marks"), IsOk());
+      ASSERT_THAT(write.PutMarks(*write.Create("other"), "others"), IsOk());
+    }
+    RunSql(Path(), damage);
+    const std::unique_ptr<Storage> storage = MustOpen(Path());
+    EXPECT_EQ(MarksOf(*storage, key), "damaged");
+    EXPECT_EQ(ReadAll(*storage, key, 1, 6)->size(), 3u);
+  }
+}
+
 TEST_F(SqliteStorageTest, NamesBatchWhosePayloadIsDamaged) {
   const VehicleKey key = MakeStore();
   RunSql(Path(),

@@ -144,6 +144,27 @@ TEST_F(StoreCheckTest, DamageOfASnapshotIsNamedAndKeepsNoBackupFromBeingMade) {
   EXPECT_EQ(backup->snapshots, 2);
 }
 
+TEST_F(StoreCheckTest, DamageOfMarksIsNamedAsThatOfASnapshotIs) {
+  MakeStore();
+  {
+    const std::unique_ptr<Storage> storage = MustOpen(Path());
+    BlockingWrites write(storage.get());
+    ASSERT_THAT(
+        write.PutMarks(storage->GetVehicle("car")->key, std::string(500, 'M')),
+        IsOk());
+  }
+  EXPECT_THAT(CheckStore(Path(), StoreUse::kIdle)->damaged_snapshots,
+              IsEmpty());
+  Damage(std::string(500, 'M'), 100);
+  const StoreReport report = *CheckStore(Path(), StoreUse::kIdle);
+  EXPECT_EQ(report.snapshots, 0);
+  EXPECT_THAT(report.problems, IsEmpty());
+  EXPECT_THAT(report.damaged_vehicles, IsEmpty());
+  EXPECT_THAT(report.damaged_snapshots,
+              ElementsAre(AllOf(HasSubstr("car"), HasSubstr("marks"),
+                                HasSubstr("checksum"))));
+}
+
 TEST_F(StoreCheckTest, StoreWhoseTablesHideRowsIsNotOpened) {
   MakeStore();
   // The first page of a table's leaves, here as everywhere, begins with its
