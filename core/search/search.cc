@@ -27,6 +27,7 @@
 #include "core/search/alignment/walked_ends.h"
 #include "core/search/belief/drive_belief.h"
 #include "core/search/belief/mark.h"
+#include "core/search/belief/mark_bytes.h"
 #include "core/search/candidates/composite_search.h"
 #include "core/search/candidates/mark_search.h"
 #include "core/search/candidates/relative_search.h"
@@ -113,7 +114,15 @@ class Search::Impl {
                                              const SearchOptions& options);
   absl::Status LearnMark(const MissingMark& missing,
                          const ShouldStop& should_stop);
-  std::size_t mark_count() const { return marks_.size(); }
+  const MarkMemory& marks() const { return marks_; }
+  std::string SaveMarks() {
+    marks_.Enter(drive_.mark_settings_version());
+    return core::SaveMarks(marks_, Marks(), drive_.settings());
+  }
+  bool LoadMarks(absl::string_view bytes) {
+    marks_.Enter(drive_.mark_settings_version());
+    return core::LoadMarks(bytes, Marks(), drive_.settings(), &marks_);
+  }
   const DriveSettings& settings() const { return drive_.settings(); }
 
  private:
@@ -245,7 +254,15 @@ absl::Status Search::LearnMark(const MissingMark& missing,
   return impl_->LearnMark(missing, should_stop);
 }
 
-std::size_t Search::mark_count() const { return impl_->mark_count(); }
+std::size_t Search::mark_count() const { return impl_->marks().size(); }
+
+std::uint64_t Search::marks_version() const { return impl_->marks().version(); }
+
+std::string Search::SaveMarks() { return impl_->SaveMarks(); }
+
+bool Search::LoadMarks(absl::string_view bytes) {
+  return impl_->LoadMarks(bytes);
+}
 
 absl::StatusOr<CandidateSet> Search::Impl::AtEnd(
     const SearchOptions& options, const ShouldStop& should_stop) {

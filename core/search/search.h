@@ -2,7 +2,8 @@
 //
 // A search begins with what marks along the drive have shown (belief/mark.h).
 // Their evidence is found once and kept here, so whoever searches a drive again
-// and again keeps the Search; another one answers the same, later.
+// and again keeps the Search, or what SaveMarks() gives; another one answers
+// the same, later.
 //
 // Thread-compatible.
 #ifndef REVISIT_CORE_SEARCH_SEARCH_H_
@@ -12,9 +13,11 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <string>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
 #include "core/drive/node_index.h"
 #include "core/search/candidates/candidate.h"
 #include "core/search/should_stop.h"
@@ -79,6 +82,15 @@ class Search {
 
   // How many marks have evidence here.
   std::size_t mark_count() const;
+  // Grows whenever a mark gets its evidence; 0 before.
+  std::uint64_t marks_version() const;
+  // The evidence of marks as bytes (belief/mark_bytes.h), for another Search of
+  // the same drive, which with them answers what it does without, and sooner.
+  std::string SaveMarks();
+  // Takes what was saved in the place of what is known; false, and nothing
+  // changes, if the bytes are damaged, or of other poses, settings or another
+  // version.
+  bool LoadMarks(absl::string_view bytes);
 
  private:
   class Impl;

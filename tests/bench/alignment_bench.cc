@@ -240,6 +240,30 @@ void AlignStreamingReckoned(benchmark::State& state, NodeIndex recordings) {
   }
 }
 
+// Which search after a load.
+enum class After { kWithoutMarks, kWithMarks, kAnother };
+
+// A search at the end, of a drive by dead reckoning: the first one after a load
+// without marks, or with those that were stored, which it takes; or another.
+void SearchAfterLoad(benchmark::State& state, After after) {
+  const core::DriveSettings settings;
+  core::Drive drive(settings);
+  drive.Append(RecordRoads(state.range(0), 1), 1);
+  core::Search before(&drive);
+  benchmark::DoNotOptimize(before.AtEnd(settings.search, nullptr));
+  const std::string marks = before.SaveMarks();
+  for (auto _ : state) {
+    core::Search first(&drive);
+    if (after == After::kWithMarks && !first.LoadMarks(marks)) {
+      state.SkipWithError("marks are refused");
+      break;
+    }
+    benchmark::DoNotOptimize((after == After::kAnother ? before : first)
+                                 .AtEnd(settings.search, nullptr));
+  }
+  state.counters["bytes"] = static_cast<double>(marks.size());
+}
+
 void AlignLiteral(benchmark::State& state) {
   const NodeIndex n = state.range(0);
   const std::vector<EigenNode<3>> nodes = EigenNodes<3, 3>(Roads(n + kSteps));
@@ -328,6 +352,18 @@ void RegisterAll() {
         AlignStreamingReckoned, recordings)
         ->Arg(10'000)
         ->Iterations(kStreamedChecks);
+  }
+  for (const auto& [name, after] :
+       {std::pair("without_marks", After::kWithoutMarks),
+        std::pair("with_marks", After::kWithMarks),
+        std::pair("another", After::kAnother)}) {
+    // The last two are 28 and 200 km.
+    for (const NodeIndex n : {1000, 14'000, 100'000}) {
+      benchmark::RegisterBenchmark(
+          (std::string("BM_Search/after_load/") + name).c_str(),
+          SearchAfterLoad, after)
+          ->Arg(n);
+    }
   }
   RegisterGroupSearches();
   Register("AlignLiteral", kMost, AlignLiteral);

@@ -10,6 +10,7 @@
 #include <iterator>
 #include <map>
 #include <optional>
+#include <utility>
 
 #include "core/drive/pose_graph.h"
 
@@ -63,6 +64,7 @@ class MarkMemory {
   }
   // The evidence stays where it is until it is forgotten.
   const MarkEvidence& Keep(std::int64_t mark, const MarkEvidence& evidence) {
+    ++version_;
     return marks_.insert_or_assign(mark, evidence).first->second;
   }
 
@@ -76,10 +78,20 @@ class MarkMemory {
     }
   }
 
+  const std::map<std::int64_t, MarkEvidence>& all() const { return marks_; }
+  // In the place of what is known.
+  void Replace(std::map<std::int64_t, MarkEvidence> marks) {
+    ++version_;
+    marks_ = std::move(marks);
+  }
+
   std::size_t size() const { return marks_.size(); }
+  // Grows whenever evidence is kept; 0 before.
+  std::uint64_t version() const { return version_; }
 
  private:
   std::map<std::int64_t, MarkEvidence> marks_;
+  std::uint64_t version_ = 0;
   std::uint64_t settings_version_ = 0;
 };
 

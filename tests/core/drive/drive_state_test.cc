@@ -18,6 +18,7 @@
 #include "core/search/search.h"
 #include "core/settings.h"
 #include "tests/core/graphs.h"
+#include "tests/core/search/candidate_sets.h"
 #include "tests/random.h"
 
 namespace revisit::core {
@@ -137,26 +138,9 @@ void Add(const Pair& pair, Drive* drive) {
 }
 
 void ExpectSameSet(const CandidateSet& a, const CandidateSet& b) {
-  ASSERT_EQ(a.candidates.size(), b.candidates.size());
-  EXPECT_EQ(a.empty_reason, b.empty_reason);
+  ExpectSameAnswers(a, b);
   EXPECT_EQ(a.nodes_considered, b.nodes_considered);
   EXPECT_EQ(a.nodes_pruned, b.nodes_pruned);
-  EXPECT_EQ(a.new_place_probability, b.new_place_probability);
-  for (std::size_t i = 0; i < a.candidates.size(); ++i) {
-    const Candidate& left = a.candidates[i];
-    const Candidate& right = b.candidates[i];
-    EXPECT_EQ(left.matched, right.matched);
-    EXPECT_EQ(left.score, right.score);
-    EXPECT_EQ(left.verdict, right.verdict);
-    EXPECT_EQ(left.inflation, right.inflation);
-    EXPECT_EQ(left.path, right.path);
-    ASSERT_EQ(left.relative.has_value(), right.relative.has_value());
-    if (left.relative) {
-      EXPECT_EQ(left.relative->probability, right.relative->probability);
-      EXPECT_EQ(left.relative->log_likelihood_ratio,
-                right.relative->log_likelihood_ratio);
-    }
-  }
 }
 
 void ExpectSameAnswers(const Drive& a, const Drive& b, NodeIndex query) {

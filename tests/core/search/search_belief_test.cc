@@ -18,6 +18,7 @@
 #include "core/search/search.h"
 #include "core/settings.h"
 #include "tests/core/drive/drives.h"
+#include "tests/core/search/candidate_sets.h"
 #include "tests/oracle/dead_reckoning.h"
 #include "tests/random.h"
 
@@ -63,29 +64,6 @@ Answers Stream(const std::vector<PoseSample>& samples, std::size_t batch,
   return answers;
 }
 
-void ExpectEqual(const CandidateSet& a, const CandidateSet& b) {
-  EXPECT_EQ(a.new_place_probability, b.new_place_probability);
-  ASSERT_EQ(a.scale.has_value(), b.scale.has_value());
-  if (a.scale) {
-    EXPECT_EQ(a.scale->scale, b.scale->scale);
-    EXPECT_EQ(a.scale->low, b.scale->low);
-    EXPECT_EQ(a.scale->high, b.scale->high);
-  }
-  ASSERT_EQ(a.candidates.size(), b.candidates.size());
-  for (std::size_t k = 0; k < a.candidates.size(); ++k) {
-    EXPECT_EQ(a.candidates[k].matched, b.candidates[k].matched);
-    EXPECT_EQ(a.candidates[k].score, b.candidates[k].score);
-    EXPECT_EQ(a.candidates[k].inflation, b.candidates[k].inflation);
-    EXPECT_EQ(a.candidates[k].verdict, b.candidates[k].verdict);
-    EXPECT_EQ(a.candidates[k].relative->probability,
-              b.candidates[k].relative->probability);
-    EXPECT_EQ(a.candidates[k].relative->meters_before,
-              b.candidates[k].relative->meters_before);
-    EXPECT_EQ(a.candidates[k].relative->meters_after,
-              b.candidates[k].relative->meters_after);
-  }
-}
-
 TEST(SearchBeliefTest, AnAnswerIsTheSameStreamedAskedLaterAndByAnotherSearch) {
   std::mt19937_64 random = SeededRandom();
   const std::vector<PoseSample> samples = Laps(random, 2.0);
@@ -99,10 +77,10 @@ TEST(SearchBeliefTest, AnAnswerIsTheSameStreamedAskedLaterAndByAnotherSearch) {
   for (std::size_t k = streamed.size(); k-- > 0;) {
     SCOPED_TRACE(streamed[k].first);
     const auto& [node, answer] = streamed[k];
-    ExpectEqual(answer, *search.At(node, options, nullptr));
-    ExpectEqual(answer, *later.At(node, options, nullptr));
+    ExpectSameAnswers(answer, *search.At(node, options, nullptr));
+    ExpectSameAnswers(answer, *later.At(node, options, nullptr));
     if (k % 10 == 0) {
-      ExpectEqual(answer, *Search(&drive).At(node, options, nullptr));
+      ExpectSameAnswers(answer, *Search(&drive).At(node, options, nullptr));
     }
     found += !answer.candidates.empty();
   }
@@ -124,7 +102,7 @@ TEST(SearchBeliefTest, ClosuresAndRejectionsDoNotChangeWhatMarksHaveShown) {
                        drive.revision() + 1);
   const CandidateSet known = *search.AtEnd(drive.settings().search, nullptr);
   Search anew(&drive);
-  ExpectEqual(known, *anew.AtEnd(drive.settings().search, nullptr));
+  ExpectSameAnswers(known, *anew.AtEnd(drive.settings().search, nullptr));
   EXPECT_EQ(known.scale->scale, last.scale->scale);
   EXPECT_LE(search.mark_count(), marks + 1);
 }
@@ -245,8 +223,8 @@ bool KeepsMarks(const std::vector<PoseSample>& samples,
   Drive fresh(settings);
   fresh.Append(samples, 1);
   Search anew(&fresh);
-  ExpectEqual(*search.AtEnd(settings.search, nullptr),
-              *anew.AtEnd(settings.search, nullptr));
+  ExpectSameAnswers(*search.AtEnd(settings.search, nullptr),
+                    *anew.AtEnd(settings.search, nullptr));
   return keeps;
 }
 
@@ -314,7 +292,7 @@ TEST(SearchBeliefTest, MarksMayBeLearnedOneByOneBeforeASearch) {
   EXPECT_GT(comparisons, 10 * at_once.comparisons);
   // Nothing is left for the search.
   const CandidateSet later = *search.At(query, options, nullptr);
-  ExpectEqual(later, at_once);
+  ExpectSameAnswers(later, at_once);
   EXPECT_LE(search.mark_count(), known + 1);
   EXPECT_EQ(later.comparisons, at_once.comparisons);
   EXPECT_EQ(search.ComparisonsAt(query, options), at_once.comparisons);
