@@ -194,7 +194,9 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
       entry.session->SettleChecks([] {});
       return true;
     }
-    if (!entry.session->wants_snapshot()) return false;
+    if (!entry.session->wants_snapshot() && !entry.session->has_new_marks()) {
+      return false;
+    }
     WriteSnapshot(std::numeric_limits<int>::max(), &entry);
     return true;
   }

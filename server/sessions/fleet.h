@@ -64,7 +64,8 @@ class Fleet {
     // Against which the stamps of poses are held.
     ServerClock clock = SystemNanoseconds;
     StoredChecksPolicy checks;
-    // How long the end of the fleet may be delayed to write snapshots.
+    // How long the end of the fleet may be delayed to write snapshots. Marks
+    // are written in any case, in a row for each vehicle.
     std::chrono::milliseconds last_snapshots{500};
   };
 
@@ -132,8 +133,8 @@ class Fleet {
 
   // Unloads the vehicles that have been idle since before `now` less
   // Options::idle_unload, then as many others as exceed the memory budget. Of
-  // one whose snapshot is due, that is written first, and a later call unloads
-  // it.
+  // one whose snapshot is due, or whose marks are new, these are written first,
+  // and a later call unloads it.
   // Returns the residency of those that were unloaded. The server calls it on a
   // timer.
   Residency UnloadIdle(std::chrono::steady_clock::time_point now);

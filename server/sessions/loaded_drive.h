@@ -59,6 +59,9 @@ class LoadedDrive {
     NoteSize();
   }
 
+  // Call after every search.
+  void NoteSearched() { snapshots_->SeeMarks(search_->marks_version()); }
+
   // ---- When the drive is looked at for what to drop (pose_dropper.h)
 
   bool is_worth_a_look() const;

@@ -9,6 +9,8 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/drive/drive.h"
+#include "core/search/search.h"
+#include "server/sessions/snapshots.h"
 #include "server/storage/storage.h"
 
 namespace revisit::server {
@@ -80,6 +82,8 @@ void Replayer::FinishLoad() {
   if (!vehicle_->head.damage().ok()) {
     vehicle_->head.set_damage(Damaged(vehicle_->head.damage()));
     if (!is_marked) KeepMark();
+  } else {
+    TakeMarks();
   }
   vehicle_->Report();
 }
@@ -236,8 +240,26 @@ void Replayer::FindSnapshot() {
        }});
 }
 
+void Replayer::TakeMarks() {
+  const SnapshotPolicy& policy = vehicle_->snapshots.policy();
+  if (policy.poses == 0 || has_dropped_snapshot_) return;
+  const absl::StatusOr<std::optional<std::string>> marks =
+      vehicle_->storage->GetMarks(vehicle_->head.key());
+  if (marks.ok() && !*marks) return;
+  core::Search* const search = vehicle_->loaded.search();
+  const bool are_usable =
+      marks.ok() && DecodeMarks(**marks, vehicle_->head.config(), search);
+  vehicle_->snapshots.MarksRead(search->marks_version(), are_usable);
+  if (are_usable || !policy.warn) return;
+  policy.warn(
+      StrCat("vehicle '", vehicle_->id, "' is loaded without its marks: ",
+             marks.ok() ? "they are of other settings or another version"
+                        : std::string(marks.status().message())));
+}
+
 // Waits for nobody: what is written of it later comes behind.
 void Replayer::DropSnapshot() {
+  has_dropped_snapshot_ = true;
   vehicle_->storage->DropSnapshot(vehicle_->head.key(),
                                   [](const absl::Status&) {});
 }

@@ -72,6 +72,8 @@ class Replayer {
   absl::StatusOr<bool> ReplaySome();
   void FindSnapshot();
   void DropSnapshot();
+  // Takes the marks that are stored, if they are of use.
+  void TakeMarks();
   absl::Status FinishGraph();
   void GoNoFurther(const absl::Status& cause);
   absl::Status CheckPairs();
@@ -80,6 +82,8 @@ class Replayer {
   VehicleState* const vehicle_;
   VehicleQueue* const queue_;
   std::optional<Replay> replay_;
+  // Whether the load has dropped the snapshot, and the marks with it.
+  bool has_dropped_snapshot_ = false;
   std::atomic<bool> gives_up_{false};
 };
 

@@ -17,7 +17,8 @@ namespace revisit::server {
 // When graphs are kept as snapshots (snapshots.h).
 struct SnapshotPolicy {
   // A snapshot is due once so many poses have come since the last one; 0: none
-  // is written or used, and those that are there are removed.
+  // is written or used, and those that are there are removed; marks are neither
+  // written nor used.
   std::uint64_t poses = 0;
   // None is written of a graph that has more nodes for each pose: a snapshot is
   // as large as its nodes, and where many servers read from one store, the
@@ -27,7 +28,10 @@ struct SnapshotPolicy {
   std::function<void(const std::string&)> warn;
 };
 
-// Belongs to the session's strand, but for is_due().
+// Beside it, what searches have learned from marks (core::Search::SaveMarks()):
+// it goes where the parts begin anew.
+//
+// Belongs to the session's strand, but for is_due() and has_new_marks().
 class SnapshotProgress {
  public:
   explicit SnapshotProgress(SnapshotPolicy policy)
@@ -40,6 +44,9 @@ class SnapshotProgress {
   bool is_due() const {
     return policy_.poses > 0 && poses_since_ >= policy_.poses;
   }
+
+  // From any thread: whether the store lacks marks that searches have learned.
+  bool has_new_marks() const { return has_new_marks_; }
 
   // How many parts the store has of the drive, from the first on.
   std::uint32_t parts() const { return parts_; }
@@ -62,14 +69,24 @@ class SnapshotProgress {
   // A snapshot up to this pose was written while the series was this one.
   void Written(const core::Drive& drive, std::uint64_t sequence,
                std::uint64_t series);
+  // Call after every search of the drive, with core::Search::marks_version().
+  void SeeMarks(std::uint64_t version);
+  // The marks of this version were read from the store; false: what it has of
+  // them is of no use.
+  void MarksRead(std::uint64_t version, bool are_usable);
+  // They were written while the series was this one.
+  void MarksWritten(std::uint64_t version, std::uint64_t series);
+
   // The store may have other parts than it had: the next snapshot begins with
   // the first part.
   void Forget();
-  // No other is due before more poses have come.
+  // No other is due before more poses have come, and no marks before more are
+  // learned.
   void PutOff(const core::Drive& drive);
 
  private:
   void KeepParts(const std::string& state_key, std::uint32_t parts);
+  void KeepMarks(std::uint64_t version);
 
   const SnapshotPolicy policy_;
   // core::Drive::StateKey() of the parts.
@@ -79,6 +96,11 @@ class SnapshotProgress {
   // The pose up to which there is a snapshot, or was tried to be.
   std::uint64_t sequence_ = 0;
   std::atomic<std::uint64_t> poses_since_{0};
+  // The version of the marks that searches know, and of those that the store
+  // has, or was tried to be given; 0 if it has none.
+  std::uint64_t marks_ = 0;
+  std::uint64_t stored_marks_ = 0;
+  std::atomic<bool> has_new_marks_{false};
 };
 
 }  // namespace revisit::server

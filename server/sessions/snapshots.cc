@@ -23,6 +23,13 @@ std::string Heading(const VehicleConfig& config) {
   return writer.Take();
 }
 
+bool ReadHeading(const VehicleConfig& config, core::ByteReader* reader) {
+  const std::string expected = Heading(config);
+  std::string heading(expected.size(), '\0');
+  return reader->GetArray(heading.data(), heading.size()) &&
+         heading == expected;
+}
+
 }  // namespace
 
 std::string EncodeSnapshot(const VehicleConfig& config,
@@ -42,18 +49,30 @@ std::string EncodeSnapshot(const VehicleConfig& config,
 bool DecodeSnapshot(const SnapshotRecord& snapshot, const VehicleConfig& config,
                     std::vector<core::Jump>* jumps, core::Drive* drive) {
   core::ByteReader reader(snapshot.payload);
-  const std::string expected = Heading(config);
-  std::string heading(expected.size(), '\0');
   jumps->clear();
-  return reader.GetArray(heading.data(), heading.size()) &&
-         heading == expected &&
+  return ReadHeading(config, &reader) &&
          reader.GetCounted(snapshot.payload.size(), jumps) &&
          drive->LoadRest(reader.rest()) &&
          drive->last_sequence() == snapshot.last_sequence;
 }
 
+std::string EncodeMarks(const VehicleConfig& config, core::Search* search) {
+  return Heading(config) + search->SaveMarks();
+}
+
+bool DecodeMarks(const std::string& marks, const VehicleConfig& config,
+                 core::Search* search) {
+  core::ByteReader reader(marks);
+  return ReadHeading(config, &reader) && search->LoadMarks(reader.rest());
+}
+
 bool Snapshots::is_due() const {
   return vehicle_->snapshots.is_due() && vehicle_->storage->KeepsSnapshots();
+}
+
+bool Snapshots::has_new_marks() const {
+  return vehicle_->snapshots.has_new_marks() &&
+         vehicle_->storage->KeepsSnapshots();
 }
 
 void Snapshots::Write(int most_parts, std::function<void()> then) {
@@ -68,7 +87,7 @@ void Snapshots::Stop(Clock::time_point until, std::function<void()> then) {
     stopped_ = then;
     const auto job =
         std::make_shared<Job>(Job{std::numeric_limits<int>::max(), [] {}});
-    if (is_due()) {
+    if (is_due() || has_new_marks()) {
       Step(job);
     } else {
       End(job);
@@ -91,12 +110,17 @@ void Snapshots::Step(const JobPtr& job) {
 }
 
 void Snapshots::WriteNext(const JobPtr& job) {
-  if (!is_due() || Clock::now() >= until_) {
+  const bool may_write_graph = is_due() && Clock::now() < until_;
+  if (!may_write_graph && !has_new_marks()) {
     End(job);
     return;
   }
   if (!MayWrite()) {
     Fail(job);
+    return;
+  }
+  if (!may_write_graph) {
+    WriteMarks(job);
     return;
   }
   vehicle_->snapshots.BeginUnlessKept(*vehicle_->loaded);
@@ -149,6 +173,23 @@ void Snapshots::WriteRest(const JobPtr& job) {
               return;
             }
             vehicle_->snapshots.Written(*vehicle_->loaded, sequence, series);
+            Step(job);
+          }));
+}
+
+void Snapshots::WriteMarks(const JobPtr& job) {
+  vehicle_->NoteSearched();
+  core::Search* const search = vehicle_->loaded.search();
+  vehicle_->storage->PutMarks(
+      vehicle_->head.key(), EncodeMarks(vehicle_->head.config(), search),
+      queue_->OnStrand(
+          [this, job, version = search->marks_version(),
+           series = vehicle_->snapshots.series()](const absl::Status& status) {
+            if (!status.ok()) {
+              Fail(job);
+              return;
+            }
+            vehicle_->snapshots.MarksWritten(version, series);
             End(job);
           }));
 }

@@ -82,7 +82,10 @@ class VehicleQueue {
   }
   template <typename Task>
   void PostSearch(const std::string& flow, Task task) {
-    strand_->PostSearch(flow, Keeping(std::move(task)));
+    strand_->PostSearch(flow, Keeping([this, task = std::move(task)]() mutable {
+                          task();
+                          vehicle_->NoteSearched();
+                        }));
   }
   // Whether other work of the vehicle waits for the task that runs.
   bool IsWanted() const { return strand_->IsWanted(); }

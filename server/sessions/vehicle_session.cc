@@ -99,8 +99,9 @@ struct VehicleSession::State {
                       });
                       return;
                     }
-                    const bool may_write =
-                        snapshots.is_due() && Snapshots::Clock::now() < until;
+                    const bool may_write = (snapshots.is_due() &&
+                                            Snapshots::Clock::now() < until) ||
+                                           snapshots.has_new_marks();
                     if (!snapshots.is_writing() && !may_write) {
                       end();
                       return;
@@ -334,6 +335,10 @@ void VehicleSession::HandOver() {
 
 bool VehicleSession::wants_snapshot() const {
   return state_->snapshots.is_due();
+}
+
+bool VehicleSession::has_new_marks() const {
+  return state_->snapshots.has_new_marks();
 }
 
 bool VehicleSession::is_writing_snapshot() const {

@@ -173,20 +173,25 @@ class VehicleSession {
   void GiveUpReplay();
 
   // Ends the session so that another server may have the vehicle: earlier calls
-  // are finished; later calls answer ABORTED (EPOCH_FENCED).
+  // are finished, and new marks are written; later calls answer ABORTED
+  // (EPOCH_FENCED).
   void HandOver();
 
   // Whether a snapshot of the graph is due, and whether one is being written.
   bool wants_snapshot() const;
   bool is_writing_snapshot() const;
+  // Whether searches have learned from marks what the store lacks.
+  bool has_new_marks() const;
   // If a snapshot is due, writes up to so many parts of it, and, once no part
-  // is missing, the snapshot; then calls `then`.
+  // is missing, the snapshot; where none is due any more, new marks; then calls
+  // `then`.
   void WriteSnapshot(int most_parts, std::function<void()> then);
 
   // Ends the session: earlier calls are finished, but for those that
   // GiveUpReplay() ends; later calls answer UNAVAILABLE (SERVER_DRAINING). A
-  // snapshot that is due is written, as far as that gets until then. When
-  // `callback` runs, the session uses neither storage nor codec any more.
+  // snapshot that is due is written, as far as that gets until then, and new
+  // marks are. When `callback` runs, the session uses neither storage nor codec
+  // any more.
   void Close(std::chrono::steady_clock::time_point snapshot_until,
              std::function<void()> callback);
 

@@ -30,6 +30,10 @@ VehicleView VehicleState::View() const {
                      head.checks()};
 }
 
+void VehicleState::NoteSearched() {
+  if (loaded) loaded.NoteSearched();
+}
+
 void VehicleState::Report() const {
   if (census == nullptr) return;
   using State = VehicleCensus::State;

@@ -57,6 +57,9 @@ class VehicleState : public VehicleReader {
 
   VehicleView View() const;
 
+  // Call after what may have searched the drive.
+  void NoteSearched();
+
   // Tells the census what state the vehicle has now.
   void Report() const;
 

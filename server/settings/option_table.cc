@@ -226,7 +226,8 @@ void AddServing(Group add, ServerSettings& s) {
              "in groups; 0 means a quarter of max-memory-bytes");
   add.Number("snapshot-poses", &s.snapshot_poses, 0, 1 << 30,
              "Poses of a vehicle after which its graph is stored anew as a "
-             "snapshot, from which it is loaded faster; 0: no snapshots");
+             "snapshot, from which it is loaded faster; 0: no snapshots, nor "
+             "what searches have learned");
   add.Number("drain-notice-seconds", &s.drain_notice_seconds, 0, 86400,
              "Seconds that the server still takes calls after SIGTERM while "
              "its health already says NOT_SERVING, so that a balancer turns "

@@ -81,8 +81,9 @@ struct ServerSettings {
   // in groups; 0 means a quarter of Limits::max_memory_bytes. Range [0, 2^30].
   std::int64_t group_memory_mebibytes = 0;
   // After so many poses of a vehicle, its graph is stored as a snapshot, from
-  // which it is loaded faster than from its poses; 0 stores none, and removes
-  // that of a vehicle when it is loaded. Range [0, 2^30].
+  // which it is loaded faster than from its poses; 0 stores none, nor marks
+  // (sessions/snapshots.h), and removes that of a vehicle when it is loaded.
+  // Range [0, 2^30].
   std::int64_t snapshot_poses = 20'000;
   // How long calls are still taken after SIGTERM while health already says
   // NOT_SERVING. A balancer in front needs that to turn to other servers before
