@@ -137,6 +137,7 @@ struct Drive::Impl {
   void ExtendIndexes();
   // Shows the graph's new nodes to those who watch them.
   void ExtendWatches();
+  void ExtendFrameWatch();
   // A measurement between two poses, with the covariances that the drive goes
   // by: where the claim of a pose does not count at its node, what is carried
   // on from there.
@@ -317,6 +318,10 @@ Drive::Impl::Found Drive::Impl::FoundSoFar() const {
 
 void Drive::Impl::ExtendWatches() {
   leap_watch.Extend(graph, dropped);
+  ExtendFrameWatch();
+}
+
+void Drive::Impl::ExtendFrameWatch() {
   frame_watch.Extend(graph, dropped, recordings, settings.node_spacing_meters);
 }
 
@@ -752,14 +757,21 @@ std::string Drive::SaveRest(std::size_t parts) const {
   return writer.Take();
 }
 
+// Nodes are looked at while they are in the cache, as those of one recording of
+// which nothing was dropped: whether they are is told by the rest.
 bool Drive::LoadPart(absl::string_view bytes) {
   ByteReader reader(bytes);
-  return impl_->ReadBeginning(&reader) &&
-         impl_->graph.LoadBlocks(kPartBlocks, !impl_->has_indexes(), &reader) &&
-         (!impl_->has_indexes() ||
-          (impl_->motion_history.LoadBlocks(kPartBlocks, &reader) &&
-           impl_->block_bounds.LoadBlocks(kPartBlocks, &reader))) &&
-         reader.rest().empty();
+  if (!impl_->ReadBeginning(&reader) ||
+      !impl_->graph.LoadBlocks(kPartBlocks, !impl_->has_indexes(), &reader) ||
+      (impl_->has_indexes() &&
+       (!impl_->motion_history.LoadBlocks(kPartBlocks, &reader) ||
+        !impl_->block_bounds.LoadBlocks(kPartBlocks, &reader))) ||
+      !reader.rest().empty()) {
+    return false;
+  }
+  impl_->ExtendIndexes();
+  impl_->ExtendFrameWatch();
+  return true;
 }
 
 bool Drive::LoadRest(absl::string_view bytes) {
@@ -777,6 +789,9 @@ bool Drive::LoadRest(absl::string_view bytes) {
                               impl_->last_sequence, &reader) ||
       !reader.rest().empty() || whole_parts() < parts) {
     return false;
+  }
+  if (impl_->dropped.count() > 0 || impl_->recordings.size() > 1) {
+    impl_->frame_watch = FrameWatch();
   }
   impl_->motion_history.EndLoading();
   impl_->ExtendIndexes();

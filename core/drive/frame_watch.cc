@@ -86,11 +86,16 @@ struct Way {
 };
 
 // Whether Judge() can find a frame at all: most ways are neither leaps nor have
-// claims that fall, and for these little is read of the graph.
-bool MayBegin(const PoseGraph& graph, NodeIndex before, const Node& after) {
-  return MetersBetween(graph.pose(before), after.pose) >=
-             FrameWatch::kLeapMeters ||
-         FrameWatch::kFall * PositionVariance(after.covariance) <
+// claims that fall, and for these little is read of the graph and no root is
+// taken. A way may be a leap here that is short of one by its rounding.
+bool MayBegin(const PoseGraph& graph, NodeIndex before, NodeIndex after) {
+  constexpr double kNoLeapMeters = (1.0 - 1e-9) * FrameWatch::kLeapMeters;
+  const Pose from = graph.pose(before);
+  const Pose to = graph.pose(after);
+  const double x = to.x - from.x;
+  const double y = to.y - from.y;
+  return x * x + y * y >= kNoLeapMeters * kNoLeapMeters ||
+         FrameWatch::kFall * PositionVariance(graph.covariance(after)) <
              PositionVariance(graph.covariance(before));
 }
 
@@ -148,20 +153,20 @@ void FrameWatch::Extend(const PoseGraph& graph, const DroppedStretches& dropped,
 void FrameWatch::Look(const PoseGraph& graph, NodeIndex index, NodeIndex first,
                       bool is_behind_gap, double return_meters) {
   if (is_behind_gap) ends_count_ = 0;
-  const Node node = graph.node(index);
+  const std::uint64_t sequence = graph.node(index).sequence;
   const bool is_behind_jump =
       graph.SegmentStart(index) == index && ends_count_ > 0;
   const bool is_behind_step =
-      !is_behind_jump && ends_count_ > 1 && node.sequence != end_sequence_;
+      !is_behind_jump && ends_count_ > 1 && sequence != end_sequence_;
   // If the step itself has nodes, End(0) is the last one on it.
   const std::size_t before = is_behind_jump ? 0 : 1;
   if ((is_behind_jump || is_behind_step) &&
-      MayBegin(graph, End(before), node)) {
+      MayBegin(graph, End(before), index)) {
     Way way;
     way.first = graph.node(first);
     way.before = graph.node(End(before));
     if (is_behind_step) way.middle = graph.node(End(0));
-    way.after = node;
+    way.after = graph.node(index);
     if (before + 1 < ends_count_) {
       way.usual_meters =
           MetersBetween(graph.pose(End(before + 1)), way.before.pose);
@@ -173,7 +178,7 @@ void FrameWatch::Look(const PoseGraph& graph, NodeIndex index, NodeIndex first,
     }
   }
   if (is_behind_jump) ends_count_ = 0;
-  AddEnd(index, node.sequence);
+  AddEnd(index, sequence);
 }
 
 void FrameWatch::AddEnd(NodeIndex index, std::uint64_t sequence) {

@@ -381,5 +381,25 @@ TEST(FrameWatchTest, ADriveThatIsLoadedTellsTheSame) {
   EXPECT_EQ(again[0].nanoseconds, frames[0].nanoseconds);
 }
 
+TEST(FrameWatchTest, ADriveThatIsLoadedJudgesNothingOverPosesThatWereDropped) {
+  const Stretches sent = Stretches().Restart(Road(3000)).Restart(Road(15'000));
+  const auto begin = sent.samples().begin();
+  const auto cut = static_cast<std::ptrdiff_t>(Road(3000).size()) - 20;
+  Drive drive((DriveSettings()));
+  drive.Append({begin, begin + cut}, 1);
+  DroppedStretch stretch;
+  stretch.first_sequence = static_cast<std::uint64_t>(cut) + 1;
+  stretch.last_sequence = stretch.first_sequence + 29;
+  stretch.travelled_meters = 30.0;
+  drive.Skip(stretch, 2);
+  drive.Append({begin + cut + 30, sent.samples().end()}, 3);
+  ASSERT_THAT(FramesIn(drive.findings()), IsEmpty());
+  Drive loaded((DriveSettings()));
+  ASSERT_GE(drive.whole_parts(), 1u);
+  ASSERT_TRUE(loaded.LoadPart(drive.SavePart(0)));
+  ASSERT_TRUE(loaded.LoadRest(drive.SaveRest(1)));
+  EXPECT_THAT(FramesIn(loaded.findings()), IsEmpty());
+}
+
 }  // namespace
 }  // namespace revisit::core
