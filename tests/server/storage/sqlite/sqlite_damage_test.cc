@@ -64,7 +64,9 @@ TEST_F(SqliteStorageTest, DamageOfMarksIsFoundWhereverItIs) {
            "UPDATE snapshot_parts SET payload = ''",
            "UPDATE snapshot_parts SET format = 4",
            "UPDATE snapshot_parts SET checksum = checksum + 1",
-           "UPDATE snapshot_parts SET snapshot_key = 3 - snapshot_key"}) {
+           // Those of the other vehicle.
+           "DELETE FROM snapshot_parts WHERE snapshot_key = 1; "
+           "UPDATE snapshot_parts SET snapshot_key = 1"}) {
     SCOPED_TRACE(damage);
     RemoveStore();
     const VehicleKey key = MakeStore();
