@@ -58,8 +58,7 @@ void SnapshotProgress::MarksRead(std::uint64_t version, bool are_usable) {
   KeepMarks(are_usable ? version : kUnusable);
 }
 
-void SnapshotProgress::MarksWritten(std::uint64_t version,
-                                    std::uint64_t series) {
+void SnapshotProgress::MarksTried(std::uint64_t version, std::uint64_t series) {
   if (series_ == series) KeepMarks(version);
 }
 

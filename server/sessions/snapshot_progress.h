@@ -74,8 +74,8 @@ class SnapshotProgress {
   // The marks of this version were read from the store; false: what it has of
   // them is of no use.
   void MarksRead(std::uint64_t version, bool are_usable);
-  // They were written while the series was this one.
-  void MarksWritten(std::uint64_t version, std::uint64_t series);
+  // They were written, or tried to be, while the series was this one.
+  void MarksTried(std::uint64_t version, std::uint64_t series);
 
   // The store may have other parts than it had: the next snapshot begins with
   // the first part.

@@ -177,6 +177,7 @@ void Snapshots::WriteRest(const JobPtr& job) {
           }));
 }
 
+// Marks that cannot be written are tried again once more of them are learned.
 void Snapshots::WriteMarks(const JobPtr& job) {
   vehicle_->NoteSearched();
   core::Search* const search = vehicle_->loaded.search();
@@ -184,12 +185,8 @@ void Snapshots::WriteMarks(const JobPtr& job) {
       vehicle_->head.key(), EncodeMarks(vehicle_->head.config(), search),
       queue_->OnStrand(
           [this, job, version = search->marks_version(),
-           series = vehicle_->snapshots.series()](const absl::Status& status) {
-            if (!status.ok()) {
-              Fail(job);
-              return;
-            }
-            vehicle_->snapshots.MarksWritten(version, series);
+           series = vehicle_->snapshots.series()](const absl::Status&) {
+            vehicle_->snapshots.MarksTried(version, series);
             End(job);
           }));
 }

@@ -213,6 +213,33 @@ TEST_F(MarksTest, UnloadingDoesNotWaitForThoseThatCannotBeWritten) {
   EXPECT_EQ(after.answer, before.answer);
 }
 
+TEST_F(MarksTest, ThoseThatCannotBeWrittenLeaveTheSnapshot) {
+  Open(5000);
+  Create();
+  for (int i = 0; i < 20; ++i) Append(1000);
+  session_.reset();
+  UnloadAll();
+  ASSERT_EQ((*memory_.GetSnapshot(key_))->part_count, 2u);
+  SearchNow();
+  storage_.Hold();
+  for (int i = 1; storage_.held() == 0; ++i) {
+    fleet_->UnloadIdle(steady_clock::now() + i * minutes(11));
+    std::this_thread::yield();
+  }
+  storage_.FailOne(Error(StatusCode::kResourceExhausted, "STORAGE_FULL", ""));
+  storage_.ReleaseAll();
+  for (int i = 0; i < 6; ++i) Append(1000);
+  storage_.Hold();
+  while (storage_.held() == 0) {
+    fleet_->WriteSnapshots();
+    std::this_thread::yield();
+  }
+  // The part that is new, not the first.
+  storage_.ReleaseOne();
+  EXPECT_EQ(StoredSequence(), 20'000u);
+  storage_.ReleaseAll();
+}
+
 TEST_F(MarksTest, NoneAreLeftOfPosesThatWereRevised) {
   CreateAndSearch();
   UnloadAll();
