@@ -420,7 +420,9 @@ class PoseStream final : public BidiCall<PoseStream>,
     bytes_in_flight_ -= bytes;
     SetFailure(acknowledgement.status());
     if (acknowledgement.ok()) queue_.Add(*acknowledgement, warnings);
-    Advance();
+    // Those that the session does not make checks for are over soon, several
+    // together, whose acknowledgements then go out together too.
+    if (send_candidates_) Advance();
   }
 
   void OnFound(const VehicleView& view, core::CandidateSet set,

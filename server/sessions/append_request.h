@@ -76,7 +76,9 @@ struct Acknowledgement {
 // once, OnChecksDue() at most once, OnCandidates() once for each check that
 // fell due if the session makes them, OnOver() once. OnDurable() comes in the
 // order of the vehicle's appends, success or failure; only an append that is
-// refused with QUEUE_FULL is answered ahead of those before it.
+// refused with QUEUE_FULL is answered ahead of those before it. Of appends that
+// land together and have no checks to be made, OnOver() comes soon after
+// OnDurable() of all: who is to pass their ends on may do it then, at once.
 class AppendObserver {
  public:
   virtual ~AppendObserver() = default;

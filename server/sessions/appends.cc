@@ -21,6 +21,11 @@ namespace {
 using absl::StatusCode;
 using absl::StrCat;
 
+// Appends of so many poses are answered before the first of them is over, and
+// before other work of the vehicle gets its turn: they take less than a
+// millisecond.
+constexpr std::size_t kAnsweredTogether = 1024;
+
 absl::Status CheckConsecutive(const DecodedBatch& batch) {
   if (batch.samples.empty()) {
     return InvalidFields("BATCH_SIZE",
@@ -315,8 +320,8 @@ void Appends::Write(const PendingPtr& append) {
   append->observer->OnStaged(absl::OkStatus());
   vehicle_->storage->AppendBatches(
       vehicle_->head.key(), std::move(rows), std::move(vehicle_payload),
-      queue_->OnStrand([this, append](const absl::Status& result) {
-        TakeResult(append, result);
+      queue_->Kept([this, append](const absl::Status& result) {
+        Arrive(append, result);
       }));
 }
 
@@ -337,47 +342,74 @@ std::vector<BatchRecord> Appends::RowsOf(DecodedBatch* batch) {
   return rows;
 }
 
-void Appends::TakeResult(const PendingPtr& append, const absl::Status& result) {
-  append->result = result;
+void Appends::Arrive(const PendingPtr& append, const absl::Status& result) {
+  bool is_first;
+  {
+    const MutexLock lock(&arrived_mutex_);
+    is_first = arrived_.empty();
+    arrived_.emplace_back(append, result);
+  }
+  if (is_first) queue_->Post([this] { TakeArrived(); });
+}
+
+void Appends::TakeArrived() {
+  std::vector<std::pair<PendingPtr, absl::Status>> arrived;
+  {
+    const MutexLock lock(&arrived_mutex_);
+    arrived.swap(arrived_);
+  }
+  for (const auto& [append, result] : arrived) append->result = result;
   AnswerInOrder();
   queue_->Pump();
 }
 
 void Appends::AnswerInOrder() {
+  std::vector<PendingPtr> over;
+  std::size_t answered_poses = 0;
   while (!in_flight_->checking() && !unanswered_.empty() &&
          unanswered_.front()->result) {
+    if (answered_poses >= kAnsweredTogether) {
+      AnswerLater();
+      break;
+    }
     const PendingPtr append = std::move(unanswered_.front());
     unanswered_.pop_front();
     in_flight_->Remove();
     if (append->revision == 0) {
       Answer(*append, *append->result);
-      append->observer->OnOver();
-    } else {
-      Land(append);
+      over.push_back(append);
+    } else if (Land(append)) {
+      over.push_back(append);
     }
+    answered_poses += append->last_sequence - append->first_sequence + 1;
   }
+  for (const PendingPtr& append : over) append->observer->OnOver();
   if (in_flight_->idle() && in_flight_->failing()) {
     in_flight_->Recover();
     vehicle_->head.Adopt(vehicle_->head.revision());
   }
 }
 
+void Appends::AnswerLater() {
+  queue_->Post([this] {
+    AnswerInOrder();
+    queue_->Pump();
+  });
+}
+
 // A write came back.
-void Appends::Land(const PendingPtr& append) {
+bool Appends::Land(const PendingPtr& append) {
   const absl::Status status = ResultOf(*append);
   if (!status.ok()) {
     Answer(*append, status);
-    append->observer->OnOver();
-    return;
+    return true;
   }
   std::vector<core::NodeIndex> due = Apply(append.get());
   Answer(*append, absl::OkStatus());
   if (!due.empty()) append->observer->OnChecksDue(PosesOf(due));
-  if (due.empty() || append->request.checks == nullptr) {
-    append->observer->OnOver();
-  } else {
-    RunChecks(append, std::move(due));
-  }
+  if (due.empty() || append->request.checks == nullptr) return true;
+  RunChecks(append, std::move(due));
+  return false;
 }
 
 // The result of a write, in the light of those before it.
@@ -474,10 +506,7 @@ void Appends::CheckOn(const ChecksPtr& checks) {
   observer->OnOver();
   in_flight_->set_checking(false);
   // In the lane of short work again.
-  queue_->Post([this] {
-    AnswerInOrder();
-    queue_->Pump();
-  });
+  AnswerLater();
 }
 
 void Appends::Answer(const Pending& append, const absl::Status& status) {

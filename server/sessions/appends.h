@@ -7,10 +7,12 @@
 #include <cstdint>
 #include <deque>
 #include <memory>
+#include <utility>
 #include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "core/base/mutex.h"
 #include "core/drive/drive.h"
 #include "core/geometry/pose.h"
 #include "server/sessions/append_request.h"
@@ -25,7 +27,7 @@ namespace revisit::server {
 // A batch is decoded and checked whole, staged, written by the storage, and,
 // once durable, applied and acknowledged; then the checks that fell due run.
 // Appends may be in flight one behind the other. Belongs to the strand, but for
-// Submit().
+// Submit() and Arrive().
 class Appends {
  public:
   // At most `max_pending` appends wait or are in flight.
@@ -83,9 +85,15 @@ class Appends {
   void Write(const PendingPtr& append);
   // The rows of a batch, whose payload is used up.
   std::vector<BatchRecord> RowsOf(DecodedBatch* batch);
-  void TakeResult(const PendingPtr& append, const absl::Status& result);
+  // What became of a write. On the storage's thread.
+  void Arrive(const PendingPtr& append, const absl::Status& result);
+  // Takes the results that have arrived by now.
+  void TakeArrived();
   void AnswerInOrder();
-  void Land(const PendingPtr& append);
+  // The same in a task of its own.
+  void AnswerLater();
+  // Returns whether nothing more comes of the append, rather than its checks.
+  bool Land(const PendingPtr& append);
   absl::Status ResultOf(const Pending& append);
   std::vector<core::NodeIndex> Apply(Pending* append);
   // The poses with which nodes came.
@@ -107,6 +115,11 @@ class Appends {
   StoredChecks* const checks_;
   const int max_pending_;
   std::atomic<int> pending_{0};
+
+  Mutex arrived_mutex_;
+  // If there are any, a task of the strand is on its way to take them.
+  std::vector<std::pair<PendingPtr, absl::Status>> arrived_
+      ABSL_GUARDED_BY(arrived_mutex_);
 
   // The appends in flight, oldest first.
   std::deque<PendingPtr> unanswered_;

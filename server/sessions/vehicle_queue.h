@@ -99,10 +99,15 @@ class VehicleQueue {
   // strand.
   template <typename Then>
   WriteDone OnStrand(Then then) {
-    return [this, keep = session_.lock(),
-            then = std::move(then)](const absl::Status& status) {
-      strand_->Post([keep, then, status]() mutable { then(status); });
-    };
+    return Kept([this, then = std::move(then)](const absl::Status& status) {
+      Post([then, status]() mutable { then(status); });
+    });
+  }
+  // The same where `then` runs on the storage's thread.
+  template <typename Then>
+  WriteDone Kept(Then then) {
+    return [keep = session_.lock(), then = std::move(then)](
+               const absl::Status& status) { then(status); };
   }
 
   // The same for an answer that has a value.

@@ -137,6 +137,49 @@ TEST_F(VehicleSessionTest, SendsAppendsToTheStorageWithoutWaitingForEachOther) {
   }
 }
 
+// What became of appends of so many poses each, the results of which come while
+// the strand is at work: "answered" and "over", each with the last sequence.
+class AppendsTogetherTest : public VehicleSessionTest {
+ protected:
+  std::vector<std::string> EndsOf(const std::vector<std::uint64_t>& counts) {
+    storage_.Hold();
+    std::vector<std::string> ends;
+    const Answer<bool> all_over;
+    std::uint64_t next = 1;
+    for (const std::uint64_t count : counts) {
+      auto append = std::make_shared<PlainAppend>(StraightBatch(next, count));
+      next += count;
+      const std::string last = std::to_string(next - 1);
+      append->durable = [&ends, last](const auto& result) {
+        EXPECT_THAT(result, IsOk());
+        ends.push_back("answered " + last);
+      };
+      append->over = [&ends, last, all_over, &counts] {
+        ends.push_back("over " + last);
+        if (ends.size() == 2 * counts.size()) all_over.Set(true);
+      };
+      session_->Append(append->Request(), append);
+    }
+    storage_.Await(counts.size());
+    session_->Read(
+        [this](const absl::StatusOr<VehicleView>&) { storage_.ReleaseAll(); });
+    all_over.Get();
+    return ends;
+  }
+};
+
+TEST_F(AppendsTogetherTest, ThoseThatLandTogetherAreAnsweredBeforeOneIsOver) {
+  EXPECT_THAT(EndsOf({2, 3, 1}),
+              ElementsAre("answered 2", "answered 5", "answered 6", "over 2",
+                          "over 5", "over 6"));
+}
+
+TEST_F(AppendsTogetherTest, LongOnesAreOverBeforeOthersAreAnswered) {
+  EXPECT_THAT(EndsOf({1000, 24, 1}),
+              ElementsAre("answered 1000", "answered 1024", "over 1000",
+                          "over 1024", "answered 1025", "over 1025"));
+}
+
 TEST_F(VehicleSessionTest, AcknowledgesSamePosesAgain) {
   ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 3)), IsOk());
   ASSERT_THAT(AppendNow(*session_, StraightBatch(4, 3)), IsOk());
