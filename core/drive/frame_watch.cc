@@ -5,6 +5,7 @@
 #include <memory>
 #include <optional>
 
+#include "core/geometry/gap.h"
 #include "core/geometry/heading.h"
 
 namespace revisit::core {
@@ -86,15 +87,11 @@ struct Way {
 };
 
 // Whether Judge() can find a frame at all: most ways are neither leaps nor have
-// claims that fall, and for these little is read of the graph and no root is
-// taken. A way may be a leap here that is short of one by its rounding.
+// claims that fall, and for these little is read of the graph.
 bool MayBegin(const PoseGraph& graph, NodeIndex before, NodeIndex after) {
-  constexpr double kNoLeapMeters = (1.0 - 1e-9) * FrameWatch::kLeapMeters;
   const Pose from = graph.pose(before);
   const Pose to = graph.pose(after);
-  const double x = to.x - from.x;
-  const double y = to.y - from.y;
-  return x * x + y * y >= kNoLeapMeters * kNoLeapMeters ||
+  return !Gap(to.x - from.x, to.y - from.y).IsBelow(FrameWatch::kLeapMeters) ||
          FrameWatch::kFall * PositionVariance(graph.covariance(after)) <
              PositionVariance(graph.covariance(before));
 }

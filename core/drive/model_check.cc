@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "core/drive/carried_claim.h"
+#include "core/geometry/gap.h"
 #include "core/noise/chi_squared.h"
 
 namespace revisit::core {
@@ -19,35 +20,6 @@ double RatioOf(double smooth_share) {
   return std::max(
       1.0, std::sqrt(ChiSquaredQuantile(1.0, below)) / ModelCheck::kSmooth);
 }
-
-// The gap between two positions. Comparing its length takes no root, but where
-// the squares are so close that rounding may decide.
-class Gap {
- public:
-  Gap(double x, double y) : x_(x), y_(y), squared_(x * x + y * y) {}
-
-  bool IsBelow(double limit) const {
-    return IsClose(limit) ? std::hypot(x_, y_) < limit
-                          : squared_ < limit * limit;
-  }
-  bool IsAbove(double limit) const {
-    return IsClose(limit) ? std::hypot(x_, y_) > limit
-                          : squared_ > limit * limit;
-  }
-
- private:
-  // Far more than rounding makes of squares.
-  static constexpr double kTolerance = 1e-12;
-
-  bool IsClose(double limit) const {
-    const double square = limit * limit;
-    return std::abs(squared_ - square) <= kTolerance * square;
-  }
-
-  double x_;
-  double y_;
-  double squared_;
-};
 
 }  // namespace
 
