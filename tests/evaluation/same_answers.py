@@ -29,6 +29,7 @@ import csv
 import hashlib
 import math
 import pathlib
+import re
 import sqlite3
 import sys
 import tempfile
@@ -49,6 +50,8 @@ VEHICLE = "vehicles/compared"
 ALONG, ACROSS, HEADING = 0.1, 0.05, math.radians(0.1)
 START = np.diag([0.01, 0.01, 1e-4])
 SEARCH_EVERY_POSES = 200
+#: The uid of a vehicle, which the server draws and with which marks begin.
+UID = re.compile(rb"[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}")
 CONFIRMED, REJECTED = 6, 3
 
 DEAD_RECKONING = {"correlation_model": api.CORRELATION_MODEL_DEAD_RECKONING}
@@ -157,7 +160,7 @@ def stored(path):
             rows = 0
             for payload, *_ in store.execute(
                     f"SELECT payload, * FROM {table} ORDER BY 2, 3"):
-                digest.update(payload if isinstance(payload, bytes)
+                digest.update(UID.sub(b"", payload) if isinstance(payload, bytes)
                               else str(payload).encode())
                 rows += 1
             digests[table] = (None if table == "batches" else rows,
