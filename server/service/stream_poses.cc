@@ -420,8 +420,8 @@ class PoseStream final : public BidiCall<PoseStream>,
     bytes_in_flight_ -= bytes;
     SetFailure(acknowledgement.status());
     if (acknowledgement.ok()) queue_.Add(*acknowledgement, warnings);
-    // Those that the session does not make checks for are over soon, several
-    // together, whose acknowledgements then go out together too.
+    // Appends that the session does not make checks for are over soon, several
+    // together, and their acknowledgements then go out together too.
     if (send_candidates_) Advance();
   }
 

@@ -85,7 +85,7 @@ class Appends {
   void Write(const PendingPtr& append);
   // The rows of a batch, whose payload is used up.
   std::vector<BatchRecord> RowsOf(DecodedBatch* batch);
-  // What became of a write. On the storage's thread.
+  // Keeps the result of a write, on the storage's thread, until TakeArrived().
   void Arrive(const PendingPtr& append, const absl::Status& result);
   // Takes the results that have arrived by now.
   void TakeArrived();

@@ -1,6 +1,7 @@
 #include "core/search/alignment/end_sampler.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <iterator>
 #include <limits>
@@ -100,22 +101,23 @@ void EndSampler<D>::SampleTogether(const std::size_t* blocks, std::size_t count,
   BlockRatios ratios;
   for (std::size_t b = 0; b < count; ++b) {
     const BlockNodes sought = SoughtIn(inputs_.history, blocks[b]);
-    const auto sample_at = [&](std::size_t i) {
-      return Sampled{blocks[b], i, b * samples_of_block_ + i};
-    };
+    std::array<Sampled, NodeBlock::kSize / kLeastStride> samples;
     constexpr float kInfinity = std::numeric_limits<float>::infinity();
     // Only what is above one of these has to be known closely. What is told as
     // enough is not above it.
     float enough = kInfinity;
     for (std::size_t i = 0; i < samples_of_block_; ++i) {
-      if (const auto most = MostSampled(sample_at(i))) {
-        enough = std::min(
-            enough, std::nextafter(static_cast<float>(*most), -kInfinity));
-      }
+      Sampled& sample = samples[i];
+      sample = {blocks[b], i, b * samples_of_block_ + i, std::nullopt};
+      sample.most_sampled = MostSampled(sample);
+      if (!sample.most_sampled) continue;
+      enough = std::min(
+          enough,
+          std::nextafter(static_cast<float>(*sample.most_sampled), -kInfinity));
     }
     inputs_.headings->Bound(blocks[b], direction_, enough, &ratios);
     for (std::size_t i = 0; i < samples_of_block_; ++i) {
-      SampleAround(sample_at(i), sought, ratios, least, progress);
+      SampleAround(samples[i], sought, ratios, least, progress);
     }
   }
 }
@@ -131,9 +133,8 @@ void EndSampler<D>::SampleAround(const Sampled& sample,
   const std::size_t begin = sample.number * stride_;
   const double weight = inputs_.recent.weight();
   const double around = most_[sample.at];
-  const std::optional<double> sampled = MostSampled(sample);
-  const bool possible = sampled.has_value();
-  const double kept = sampled.value_or(kImpossible);
+  const bool possible = sample.most_sampled.has_value();
+  const double kept = sample.most_sampled.value_or(kImpossible);
   // Nodes of which the ratio is so much may come to the least log-odds.
   const double may_be = (least - around) / weight;
   const std::size_t drifts = DriftsInto(sample.block);
@@ -170,8 +171,7 @@ void EndSampler<D>::SampleAround(const Sampled& sample,
   kept_.insert(at, end);
 }
 
-// The greatest ratio of nodes around a sample with which they come to no more
-// than what is sampled. Nothing where each of them is looked at.
+// Sampled::most_sampled.
 template <int D>
 std::optional<double> EndSampler<D>::MostSampled(const Sampled& sample) const {
   if (!batch_.anchors().IsPossible(sample.at) || !IsEven(sample)) {

@@ -67,6 +67,9 @@ class EndSampler {
     std::size_t block = 0;
     std::size_t number = 0;
     std::size_t at = 0;
+    // The greatest ratio of nodes around it with which they come to no more
+    // than what is sampled. Nothing where each of them is looked at.
+    std::optional<double> most_sampled;
   };
 
   std::size_t DriftsInto(std::size_t block) const;

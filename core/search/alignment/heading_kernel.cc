@@ -23,7 +23,7 @@ constexpr float kMostOpen = 4.0F;
 using Floats = hn::CappedTag<float, NodeBlock::kSize>;
 using Vector = hn::Vec<Floats>;
 
-// What an innovation counts for.
+// By how much an innovation moves the drift, and what its square costs.
 struct Weights {
   Vector gain;
   Vector information;
@@ -101,7 +101,7 @@ void LowerRatios(const std::uint8_t* bins,
     const auto before = hn::LoadU(tag, most->data() + i);
     const auto may_fall = hn::Gt(before, hn::Set(tag, enough));
     if (hn::AllFalse(tag, may_fall)) continue;
-    // That of the drift, which only grows where a heading does not count.
+    // The variance of the drift only grows where a heading does not count.
     auto variance = hn::Set(tag, variances.end);
     const auto weigh = [&](const HeadingStep&, Vector is_open) HWY_ATTR {
       variance = hn::Add(variance, noise);

@@ -21,7 +21,8 @@ constexpr float kRounding = 1e-3F;
 // evidence.
 constexpr float kNotBorneOut = 3.0F;
 
-// Those of a filter that looks at every `apart`-th heading, in squared bins.
+// The variances of a filter that looks at every `apart`-th heading, in squared
+// bins.
 template <int D>
 HeadingVariances VariancesOf(const RecentPath<D>& recent, std::int64_t apart) {
   const double bins = InHeadingBins(1.0);

@@ -20,7 +20,7 @@ constexpr std::uint64_t kMarksVersion = 1;
 // No logarithm of odds that poses can show comes near this.
 constexpr double kMostLogOdds = 1e9;
 
-// What the bytes begin with: they are for drives of the same beginning.
+// The bytes begin with this, and are for drives of the same beginning.
 std::string Beginning(const DriveSettings& settings) {
   ByteWriter writer;
   writer.Put(kMarksVersion);
