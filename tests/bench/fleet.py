@@ -279,7 +279,7 @@ def measure_kind(stores, nodes, vehicles=1, space=api.STATE_SPACE_PLANAR,
         for name in names:
             client.create(name, space, model)
         empty = settled_memory(client)
-        # What there is to a process once is in the first quarter.
+        # The first quarter holds what there is to a process once.
         quarter, sent = None, 0
         for name in names:
             for poses in parts:

@@ -347,10 +347,11 @@ TEST(FrameWatchTest, WhereClaimsDoNotGrowAtAllTheirFallIsNotTold) {
   EXPECT_EQ(findings[0].code, FindingCode::kCovariancesDoNotGrow);
 }
 
-TEST(FrameWatchTest, NothingIsJudgedOverPosesThatWereDropped) {
-  const Stretches sent = Stretches().Restart(Town()).Restart(Town());
+// A drive that has dropped 30 poses: the last 20 of the `first` ones that were
+// sent before a restart, and those right behind it.
+Drive DroppedAround(std::size_t first, const Stretches& sent) {
   const auto begin = sent.samples().begin();
-  const auto cut = static_cast<std::ptrdiff_t>(Town().size()) - 20;
+  const auto cut = static_cast<std::ptrdiff_t>(first) - 20;
   Drive drive((DriveSettings()));
   drive.Append({begin, begin + cut}, 1);
   DroppedStretch stretch;
@@ -359,6 +360,21 @@ TEST(FrameWatchTest, NothingIsJudgedOverPosesThatWereDropped) {
   stretch.travelled_meters = 30.0;
   drive.Skip(stretch, 2);
   drive.Append({begin + cut + 30, sent.samples().end()}, 3);
+  return drive;
+}
+
+// The drive as it is loaded from its first part and the rest.
+Drive Loaded(const Drive& drive) {
+  Drive loaded((DriveSettings()));
+  EXPECT_GE(drive.whole_parts(), 1u);
+  EXPECT_TRUE(loaded.LoadPart(drive.SavePart(0)));
+  EXPECT_TRUE(loaded.LoadRest(drive.SaveRest(1)));
+  return loaded;
+}
+
+TEST(FrameWatchTest, NothingIsJudgedOverPosesThatWereDropped) {
+  const Stretches sent = Stretches().Restart(Town()).Restart(Town());
+  const Drive drive = DroppedAround(Town().size(), sent);
   EXPECT_THAT(FramesIn(drive.findings()), IsEmpty());
 }
 
@@ -368,11 +384,7 @@ TEST(FrameWatchTest, ADriveThatIsLoadedTellsTheSame) {
   drive.Append(sent.samples(), 1);
   const std::vector<NewFrame> frames = FramesIn(drive.findings());
   ASSERT_EQ(frames.size(), 1u);
-  Drive loaded((DriveSettings()));
-  ASSERT_GE(drive.whole_parts(), 1u);
-  ASSERT_TRUE(loaded.LoadPart(drive.SavePart(0)));
-  ASSERT_TRUE(loaded.LoadRest(drive.SaveRest(1)));
-  const std::vector<NewFrame> again = FramesIn(loaded.findings());
+  const std::vector<NewFrame> again = FramesIn(Loaded(drive).findings());
   ASSERT_EQ(again.size(), 1u);
   EXPECT_EQ(again[0].sequence, frames[0].sequence);
   EXPECT_EQ(again[0].meters, frames[0].meters);
@@ -383,22 +395,9 @@ TEST(FrameWatchTest, ADriveThatIsLoadedTellsTheSame) {
 
 TEST(FrameWatchTest, ADriveThatIsLoadedJudgesNothingOverPosesThatWereDropped) {
   const Stretches sent = Stretches().Restart(Road(3000)).Restart(Road(15'000));
-  const auto begin = sent.samples().begin();
-  const auto cut = static_cast<std::ptrdiff_t>(Road(3000).size()) - 20;
-  Drive drive((DriveSettings()));
-  drive.Append({begin, begin + cut}, 1);
-  DroppedStretch stretch;
-  stretch.first_sequence = static_cast<std::uint64_t>(cut) + 1;
-  stretch.last_sequence = stretch.first_sequence + 29;
-  stretch.travelled_meters = 30.0;
-  drive.Skip(stretch, 2);
-  drive.Append({begin + cut + 30, sent.samples().end()}, 3);
+  const Drive drive = DroppedAround(Road(3000).size(), sent);
   ASSERT_THAT(FramesIn(drive.findings()), IsEmpty());
-  Drive loaded((DriveSettings()));
-  ASSERT_GE(drive.whole_parts(), 1u);
-  ASSERT_TRUE(loaded.LoadPart(drive.SavePart(0)));
-  ASSERT_TRUE(loaded.LoadRest(drive.SaveRest(1)));
-  EXPECT_THAT(FramesIn(loaded.findings()), IsEmpty());
+  EXPECT_THAT(FramesIn(Loaded(drive).findings()), IsEmpty());
 }
 
 }  // namespace

@@ -11,11 +11,19 @@
 namespace revisit::core {
 
 inline void ExpectSameCandidate(const Candidate& a, const Candidate& b) {
+  EXPECT_EQ(a.drive, b.drive);
   EXPECT_EQ(a.matched, b.matched);
+  EXPECT_EQ(a.frame_state, b.frame_state);
   EXPECT_EQ(a.score, b.score);
   EXPECT_EQ(a.verdict, b.verdict);
   EXPECT_EQ(a.inflation, b.inflation);
   EXPECT_EQ(a.path, b.path);
+  ASSERT_EQ(a.difference.has_value(), b.difference.has_value());
+  if (a.difference) {
+    EXPECT_EQ(a.difference->covariance.upper, b.difference->covariance.upper);
+    EXPECT_EQ(a.difference->gate.squared_mahalanobis,
+              b.difference->gate.squared_mahalanobis);
+  }
   ASSERT_EQ(a.relative.has_value(), b.relative.has_value());
   if (!a.relative) return;
   EXPECT_EQ(a.relative->probability, b.relative->probability);

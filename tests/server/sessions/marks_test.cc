@@ -26,7 +26,7 @@ using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 
-// What a search at the newest node found.
+// The answer of a search at the newest node.
 struct Found {
   // The answer, to the last bit.
   std::string answer;

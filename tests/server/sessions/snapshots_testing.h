@@ -83,7 +83,8 @@ class SnapshotsTest : public ::testing::Test {
     options.last_snapshots = last_snapshots_;
     fleet_ = std::make_unique<Fleet>(&storage_, &codec_, &executor_, options);
   }
-  // As after a crash: what is not in the store is lost.
+  // Opens the fleet anew as after a crash, by which all is lost that the store
+  // does not have.
   void Crash() {
     last_snapshots_ = std::chrono::milliseconds(0);
     Open();
@@ -101,7 +102,7 @@ class SnapshotsTest : public ::testing::Test {
     ASSERT_THAT(AppendNow(session(), SquareBatch(last_ + 1, count)), IsOk());
     last_ += count;
   }
-  // As time goes by.
+  // Unloads what nobody uses, as time does.
   void UnloadAll() {
     const auto deadline =
         std::chrono::steady_clock::now() + std::chrono::seconds(60);

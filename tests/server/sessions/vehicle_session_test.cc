@@ -137,7 +137,7 @@ TEST_F(VehicleSessionTest, SendsAppendsToTheStorageWithoutWaitingForEachOther) {
   }
 }
 
-// What became of appends of so many poses each, the results of which come while
+// The results of appends of so many poses each, the results of which come while
 // the strand is at work: "answered" and "over", each with the last sequence.
 class AppendsTogetherTest : public VehicleSessionTest {
  protected:

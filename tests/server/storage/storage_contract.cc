@@ -745,7 +745,7 @@ TEST_P(StorageContract, KeepsASnapshotInPartsUntilPosesAreRevised) {
                                           }),
               IsOk());
   EXPECT_EQ(read, "b");
-  // What moves no poses leaves it alone.
+  // Changes that move no poses leave it alone.
   ASSERT_THAT(write().Append(key, Batch(8, 1, 3, "eight")), IsOk());
   ASSERT_THAT(write().Update(key, "payload", 4), IsOk());
   ASSERT_THAT(write().AddPair(key, PairKind::kLoopClosure, {"l", 7, 1, 9}, 5),
@@ -829,7 +829,7 @@ TEST_P(StorageContract, KeepsMarksBesideASnapshotOrWithoutOne) {
   ASSERT_THAT(write().PutSnapshot(key, {7, 2, "y"}), IsOk());
   EXPECT_EQ(MarksOf(storage(), key), "new");
   EXPECT_EQ(SnapshotOf(storage(), key), "to 7: a b, 'y'");
-  // What moves no poses leaves them alone.
+  // Changes that move no poses leave them alone.
   ASSERT_THAT(write().Append(key, Batch(8, 1, 3, "eight")), IsOk());
   ASSERT_THAT(write().Update(key, "payload", 4), IsOk());
   EXPECT_EQ(MarksOf(storage(), key), "new");

@@ -116,7 +116,7 @@ TEST_F(MarkBytesTest, MarksOfOtherSettingsAreRefused) {
     return taken;
   };
   EXPECT_TRUE(takes([](auto) {}));
-  // What marks do not depend on.
+  // Marks do not depend on this.
   EXPECT_TRUE(takes([](auto* s) { s->search.max_candidates = 7; }));
   EXPECT_TRUE(takes([](auto* s) { s->search.gate_probability = 0.5; }));
   EXPECT_TRUE(takes([](auto* s) { s->check_interval_meters = 80.0; }));

@@ -64,7 +64,7 @@ TEST_F(SqliteStorageTest, DamageOfMarksIsFoundWhereverItIs) {
            "UPDATE snapshot_parts SET payload = ''",
            "UPDATE snapshot_parts SET format = 4",
            "UPDATE snapshot_parts SET checksum = checksum + 1",
-           // Those of the other vehicle.
+           // The marks of the other vehicle take the place of this one's.
            "DELETE FROM snapshot_parts WHERE snapshot_key = 1; "
            "UPDATE snapshot_parts SET snapshot_key = 1"}) {
     SCOPED_TRACE(damage);
