@@ -115,7 +115,8 @@ class Container:
             "user", "10001:10001").partition(":")
         self._launch = compose.network.join(name, compose.addresses[name])
         self._root = compose.directory / name
-        for folder in ("usr", "opt", "proc", "dev", "etc", "tmp", "run", "var"):
+        for folder in ("usr", "opt", "proc", "sys", "dev", "etc", "tmp", "run",
+                       "var"):
             (self._root / folder).mkdir(parents=True)
         for link in ("bin", "lib", "lib64", "sbin"):
             (self._root / link).symlink_to(f"usr/{link}")
@@ -132,6 +133,11 @@ class Container:
         yield f"mount --bind {root} {root}"
         yield f"mount --bind /usr {root}/usr"
         yield f"mount --rbind /proc {root}/proc"
+        # Containers have /sys, and gRPC relies on it: Abseil counts processors there
+        # when a mutex is first contended, and a missing file sets errno, which gRPC may
+        # be about to read after its connect(). Now and then a client would find a
+        # server unavailable that is there.
+        yield f"mount --rbind --options ro /sys {root}/sys"
         yield f"mount --rbind /dev {root}/dev"
         for program in self._programs:
             make = "mkdir -p" if program.is_dir() else "touch"
@@ -325,6 +331,12 @@ def revisit(compose):
         command("info"), capture_output=True, check=False).returncode == 0,
         "server behind Envoy")
     return lambda *arguments: do(*command(*arguments))
+
+
+def test_services_see_the_processors_of_the_machine(compose):
+    processors = pathlib.Path("/sys/devices/system/cpu/online")
+    for service in (*compose.servers.values(), compose.envoy, compose.console):
+        assert do(*service.command("cat", processors)) == processors.read_text()
 
 
 def test_drive_is_streamed_through_envoy_and_its_loops_are_found(revisit):
