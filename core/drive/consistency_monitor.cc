@@ -34,7 +34,7 @@ std::vector<double> LogPriorDensity(double max_inflation) {
   return log_density;
 }
 
-// exp of the mean of ln f.
+// exp of the mean of ln f, by the trapezoid rule.
 double MeanInflation(const std::vector<double>& log_density,
                      double max_inflation) {
   const double greatest =
@@ -42,9 +42,11 @@ double MeanInflation(const std::vector<double>& log_density,
   double sum = 0.0;
   double weighted = 0.0;
   for (std::size_t i = 0; i < kGridSize; ++i) {
-    const double density = std::exp(log_density[i] - greatest);
-    sum += density;
-    weighted += density * LogFactor(i, max_inflation);
+    const bool is_end = i == 0 || i + 1 == kGridSize;
+    const double mass =
+        (is_end ? 0.5 : 1.0) * std::exp(log_density[i] - greatest);
+    sum += mass;
+    weighted += mass * LogFactor(i, max_inflation);
   }
   return std::exp(weighted / sum);
 }

@@ -39,7 +39,6 @@ inline double WeightedSquaresBelow(const std::vector<double>& weights,
 }
 
 // With the gate that the claimed covariances make: the inflation not applied.
-// Pairs of the same direction only.
 inline double InflationByQuadrature(
     const core::PoseGraph& graph, const core::ConsistencyOptions& options,
     const std::vector<core::ConfirmedLoop>& confirmed) {
@@ -66,6 +65,11 @@ inline double InflationByQuadrature(
     WideVector difference = WideStateOf(graph.node(loop.query).pose, d) -
                             WideStateOf(graph.node(loop.matched).pose, d);
     difference(d - 1) = NearestTo(0.0L, difference(d - 1));
+    // A pass the other way is one whose headings differ by more than a right
+    // angle.
+    if (std::abs(difference(d - 1)) > 0.5L * kWidePi) {
+      difference(d - 1) = NearestTo(0.0L, difference(d - 1) + kWidePi);
+    }
     const bool passed = difference.dot(gate.solve(difference)) <= threshold;
     WideVector shown = difference;
     WideMatrix shown_gamma = gamma;
@@ -111,9 +115,12 @@ inline double InflationByQuadrature(
   Wide sum = 0.0L;
   Wide weighted = 0.0L;
   for (std::size_t v = 0; v < log_f.size(); ++v) {
-    const Wide density = std::exp(log_density[v] - greatest);
-    sum += density;
-    weighted += density * log_f[v];
+    // By the trapezoid rule, whose ends count half.
+    const bool is_end = v == 0 || v + 1 == log_f.size();
+    const Wide mass =
+        (is_end ? 0.5L : 1.0L) * std::exp(log_density[v] - greatest);
+    sum += mass;
+    weighted += mass * log_f[v];
   }
   return static_cast<double>(std::exp(weighted / sum));
 }
