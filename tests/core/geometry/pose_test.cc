@@ -178,11 +178,14 @@ TEST(FindDefectTest, PlanarIgnoresWhatBelongsToHeight) {
   EXPECT_TRUE(FindDefect(sample, StateSpace::kSpatial));
 }
 
-TEST(FindDefectTest, AcceptsEveryRandomCovariance) {
+TEST(FindDefectTest, AcceptsRandomCovariancesThatAreNotSingular) {
   std::mt19937_64 random = SeededRandom();
   for (int trial = 0; trial < 1000; ++trial) {
     PoseSample sample;
     sample.covariance = RandomCovariance(random, 10.0);
+    // A few draws in a hundred thousand have a pivot that rounding decides.
+    // Where variances are larger by a share s, none is below s / (1 + s).
+    for (int i = 0; i < 4; ++i) sample.covariance(i, i) *= 1.0 + 1e-9;
     EXPECT_FALSE(FindDefect(sample, StateSpace::kPlanar)) << trial;
     EXPECT_FALSE(FindDefect(sample, StateSpace::kSpatial)) << trial;
   }
