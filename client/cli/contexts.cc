@@ -18,9 +18,9 @@
 #include "absl/strings/ascii.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
-#include "client/cli/usage/suggestion.h"
 #include "client/terminal/replaced_file.h"
 #include "client/terminal/terminal.h"
+#include "core/base/suggestion.h"
 #include "nlohmann/json.hpp"
 
 namespace revisit::client {

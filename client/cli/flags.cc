@@ -9,7 +9,8 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
-#include "client/cli/usage/suggestion.h"
+#include "core/base/command_words.h"
+#include "core/base/suggestion.h"
 
 namespace revisit::client {
 namespace {
@@ -61,57 +62,6 @@ std::vector<std::string> KnownOf(const Words& words) {
   std::vector<std::string> known;
   for (const auto& [word, value] : words) known.push_back(word);
   return known;
-}
-
-// The command that the words lead to so far.
-const CLI::App* ChosenOf(const CLI::App* app) {
-  while (!app->get_subcommands().empty()) app = app->get_subcommands().front();
-  return app;
-}
-
-std::string PathOf(const CLI::App* app) {
-  const CLI::App* const above = app->get_parent();
-  return above == nullptr ? app->get_name()
-                          : absl::StrCat(PathOf(above), " ", app->get_name());
-}
-
-std::vector<std::string> NamesOf(const CLI::Option* option) {
-  std::vector<std::string> names;
-  for (const std::string& name : option->get_snames()) {
-    names.push_back("-" + name);
-  }
-  for (const std::string& name : option->get_lnames()) {
-    names.push_back("--" + name);
-  }
-  return names;
-}
-
-// Says of a flag that there is not which one may be meant; empty if none of the
-// words is a flag.
-std::string MistypedFlag(const std::vector<std::string>& words,
-                         const CLI::App* chosen) {
-  const auto is_flag = [](const std::string& word) {
-    return word.size() > 1 && word.front() == '-';
-  };
-  const auto found = std::find_if(words.begin(), words.end(), is_flag);
-  if (found == words.end()) return "";
-  std::vector<std::string> known;
-  for (const CLI::App* app = chosen; app != nullptr; app = app->get_parent()) {
-    for (const CLI::Option* option : app->get_options()) {
-      const std::vector<std::string> names = NamesOf(option);
-      known.insert(known.end(), names.begin(), names.end());
-    }
-  }
-  const std::string flag = found->substr(0, found->find('='));
-  const std::string meant = Suggestion(flag, known);
-  if (meant == flag) {
-    return absl::StrCat("got \"", flag,
-                        "\" before the command; it stands behind ",
-                        PathOf(chosen));
-  }
-  return absl::StrCat("got \"", flag, "\", which is no flag of ",
-                      PathOf(chosen),
-                      meant.empty() ? "" : "; did you mean " + meant + "?");
 }
 
 // A word where a command is expected, or nothing there.
@@ -504,8 +454,15 @@ CommandUsage CommandLine::Usage() const {
 
 absl::StatusOr<ParsedLine> CommandLine::Parse(int argc,
                                               const char* const* argv) {
+  CommandWords separated = SeparatedValues(*app_, {argv + 1, argv + argc});
+  if (!separated.problem.empty()) {
+    return UsageError(separated.problem,
+                      PathOf(separated.command) + " --help tells more");
+  }
+  // CLI11 takes them from the back.
+  std::reverse(separated.words.begin(), separated.words.end());
   try {
-    app_->parse(argc, argv);
+    app_->parse(std::move(separated.words));
   } catch (const CLI::CallForHelp&) {
     shared_.chosen.help = UsageOf(ChosenOf(app_.get()), shared_.helps);
   } catch (const CLI::CallForVersion&) {

@@ -1,11 +1,11 @@
-#include "client/cli/usage/suggestion.h"
+#include "core/base/suggestion.h"
 
 #include <algorithm>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 
-namespace revisit::client {
+namespace revisit {
 
 std::size_t EditDistance(const std::string& a, const std::string& b) {
   // distance[i][j] is that of the first i letters of `a` and j of `b`.
@@ -55,4 +55,4 @@ std::string MistypedWord(const std::string& word,
       known.empty() ? "nothing here" : absl::StrJoin(known, ", "));
 }
 
-}  // namespace revisit::client
+}  // namespace revisit

@@ -1,12 +1,12 @@
 // Guesses the word that somebody meant who mistyped one.
-#ifndef REVISIT_CLIENT_CLI_USAGE_SUGGESTION_H_
-#define REVISIT_CLIENT_CLI_USAGE_SUGGESTION_H_
+#ifndef REVISIT_CORE_BASE_SUGGESTION_H_
+#define REVISIT_CORE_BASE_SUGGESTION_H_
 
 #include <cstddef>
 #include <string>
 #include <vector>
 
-namespace revisit::client {
+namespace revisit {
 
 // How many letters have to be left out, put in, replaced or swapped with their
 // neighbour to make one word of the other (restricted Damerau-Levenshtein
@@ -22,6 +22,6 @@ std::string Suggestion(const std::string& word,
 std::string MistypedWord(const std::string& word,
                          const std::vector<std::string>& known);
 
-}  // namespace revisit::client
+}  // namespace revisit
 
-#endif  // REVISIT_CLIENT_CLI_USAGE_SUGGESTION_H_
+#endif  // REVISIT_CORE_BASE_SUGGESTION_H_

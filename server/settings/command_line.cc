@@ -1,10 +1,13 @@
 #include "server/settings/command_line.h"
 
 #include <CLI/CLI.hpp>
+#include <algorithm>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "core/base/build_info.h"
+#include "core/base/command_words.h"
+#include "core/base/suggestion.h"
 
 namespace revisit::server {
 namespace {
@@ -48,6 +51,31 @@ Examples:
     --from /var/lib/revisit
 )";
 
+CLI::Validator NotEmpty(const char* allowed) {
+  return {[allowed](std::string& text) {
+            return text.empty() ? absl::StrCat("got \"\"; allowed is ", allowed)
+                                : std::string();
+          },
+          ""};
+}
+
+// CLI11 says that something is missing even if another word stands in its
+// place.
+std::string UsageMessage(const CLI::App& app, const CLI::Error& error) {
+  const CLI::App* const chosen = ChosenOf(&app);
+  const std::vector<std::string> words = app.remaining(/*recurse=*/true);
+  if (std::string flag = MistypedFlag(words, chosen); !flag.empty()) {
+    return flag;
+  }
+  if (words.empty()) return error.what();
+  std::vector<std::string> commands;
+  for (const CLI::App* command :
+       chosen->get_subcommands([](const CLI::App*) { return true; })) {
+    commands.push_back(command->get_name());
+  }
+  return MistypedWord(words.front(), commands);
+}
+
 }  // namespace
 
 struct CommandLine::Parser {
@@ -64,6 +92,7 @@ struct CommandLine::Parser {
     backup = app.add_subcommand("backup", "Copy the store and check the copy");
     backup->add_option("--to", other, "File to make")
         ->type_name("FILE")
+        ->check(NotEmpty("the path of a file"))
         ->required();
     verify = app.add_subcommand("verify",
                                 "Read the whole store and say what is wrong");
@@ -75,6 +104,7 @@ struct CommandLine::Parser {
         app.add_subcommand("import", "Copy a store into one that is empty");
     import->add_option("--from", other, "Store to copy: a path or a URL")
         ->type_name("STORE")
+        ->check(NotEmpty("a path, or postgresql://..."))
         ->required();
     for (CLI::App* subcommand : {backup, verify, compact, migrate, import}) {
       subcommand->fallthrough();
@@ -104,17 +134,21 @@ CommandLine::~CommandLine() = default;
 OptionTable& CommandLine::table() { return *parser_->table; }
 
 absl::Status CommandLine::Parse(const std::vector<std::string>& arguments) {
-  // CLI11 takes them from the back.
-  std::vector<std::string> reversed(arguments.rbegin(), arguments.rend());
   CLI::App& app = parser_->app;
+  CommandWords separated = SeparatedValues(app, arguments);
+  if (!separated.problem.empty()) {
+    return absl::InvalidArgumentError(separated.problem);
+  }
+  // CLI11 takes them from the back.
+  std::reverse(separated.words.begin(), separated.words.end());
   try {
-    app.parse(std::move(reversed));
+    app.parse(std::move(separated.words));
   } catch (const CLI::CallForHelp&) {
     print_ = app.help();
   } catch (const CLI::CallForVersion& version) {
     print_ = absl::StrCat(version.what(), "\n");
   } catch (const CLI::Error& error) {
-    return absl::InvalidArgumentError(error.what());
+    return absl::InvalidArgumentError(UsageMessage(app, error));
   }
   return absl::OkStatus();
 }

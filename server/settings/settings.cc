@@ -147,6 +147,17 @@ absl::Status CheckSecurity(const ServerSettings& s) {
   return absl::OkStatus();
 }
 
+// The settings that a server or a task is to begin with.
+absl::Status Check(const CommandLine& line) {
+  const ServerSettings& settings = line.settings();
+  if (line.print_config()) return absl::OkStatus();
+  if (settings.store.empty()) {
+    return absl::InvalidArgumentError(
+        "store: got \"\"; allowed is a path, or postgresql://...");
+  }
+  return line.Task() ? absl::OkStatus() : CheckSecurity(settings);
+}
+
 }  // namespace
 
 std::chrono::milliseconds StoreWaitTime(const ServerSettings& settings) {
@@ -185,10 +196,8 @@ absl::StatusOr<ParsedSettings> ParseSettings(
   if (!status.ok()) return status;
   status = line.Parse(arguments);
   if (!status.ok()) return status;
-  if (!line.print() && !line.print_config() && !line.Task()) {
-    status = CheckSecurity(line.settings());
-    if (!status.ok()) return status;
-  }
+  status = Check(line);
+  if (!status.ok()) return status;
   ParsedSettings parsed{line.settings(), line.Task(), std::nullopt};
   if (line.print_config()) parsed.print = PrintSettings(line.settings());
   return parsed;

@@ -8,10 +8,12 @@ import pytest
 
 from stubs import ROOT
 
-# Headers that server and client have in common, and their targets. Core keeps
+# The files that server and client have in common, and their targets. Core keeps
 # them and does not use them.
 SHARED = {ROOT / "core/base" / name
-          for name in ("mutex.h", "openssl_pointers.h", "CMakeLists.txt")}
+          for name in ("command_words.cc", "command_words.h", "mutex.h",
+                       "openssl_pointers.h", "suggestion.cc", "suggestion.h",
+                       "CMakeLists.txt")}
 
 
 def sources(layer):
@@ -30,7 +32,8 @@ FORBIDDEN_IN_CORE = {
     "gRPC": r"grpc",
     "protobuf": r"protobuf|\.pb\.h|revisit::v1",
     "other layers": r'#include "(server|client|tests)/',
-    "shared headers": r'#include "core/base/(mutex|openssl_pointers)\.h"',
+    "shared headers": r'#include "core/base/'
+                      r'(command_words|mutex|openssl_pointers|suggestion)\.h"',
     "threads": r"std::(this_)?thread|<thread>|pthread|std::async|<future>"
                r"|std::atomic|<atomic>|thread_local",
     "locks": r"[Mm]utex|condition_variable",

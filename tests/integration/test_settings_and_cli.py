@@ -99,6 +99,19 @@ def test_wrong_settings_are_refused_by_name(
     assert not (tmp_path / "store").exists()
 
 
+@pytest.mark.parametrize("words, told", [
+    (["--store=", "--listen=127.0.0.1:1"], 'store: got ""; allowed is'),
+    (["--print-config=yes"], '--print-config: got "yes"; allowed is no value'),
+    (["--lisen=127.0.0.1:1"], "did you mean --listen?"),
+    (["bakup"], "did you mean backup?"),
+], ids=str)
+def test_words_that_cannot_be_meant_start_nothing(words, told, tmp_path):
+    result = run("revisitd", *words, cwd=tmp_path)
+    assert result.returncode == USAGE
+    assert told in result.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_file_of_settings_that_is_not_there_is_told(tmp_path):
     result = run("revisitd", "--config", tmp_path / "none.conf")
     assert result.returncode == USAGE
@@ -655,6 +668,25 @@ def test_streaming_again_changes_nothing(driven, revisit):
     again = revisit("stream", BOREAS, "--vehicle", driven)
     assert again.returncode == 0, again.stderr
     assert revisit("vehicle", "get", driven, "--json").stdout == before
+
+
+def test_empty_value_takes_no_other_word(revisit):
+    revisit("vehicle", "create", "cli-empty", "--display-name", "Old")
+    updated = revisit("vehicle", "update", "cli-empty", "--display-name=",
+                      "--acceptance-probability=0.75")
+    assert updated.returncode == 0, updated
+    vehicle = json.loads(revisit("vehicle", "get", "cli-empty", "--json").stdout)
+    assert vehicle["displayName"] == ""
+    assert vehicle["settings"]["acceptanceProbability"] == 0.75
+
+
+@pytest.mark.parametrize("words", [
+    ["--json=yes", "info"], ["info", "--json="], ["info", "--json=true"],
+    ["vehicle", "update", "x", "--apply-inflation=no"]], ids=str)
+def test_value_of_a_flag_that_takes_none_is_wrong_usage(words):
+    result = run("revisit", *words)
+    assert result.returncode == USAGE, result
+    assert "; allowed is no value\n" in result.stderr
 
 
 def test_vehicles_come_and_go(revisit):

@@ -9,7 +9,7 @@
 #include "absl/strings/str_cat.h"
 #include "client/cli/usage/completion.h"
 #include "client/cli/usage/help_text.h"
-#include "client/cli/usage/suggestion.h"
+#include "core/base/suggestion.h"
 
 namespace revisit::client {
 namespace {

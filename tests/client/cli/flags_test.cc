@@ -58,6 +58,24 @@ TEST_F(FlagsTest, CommandIsChosenWithItsFlags) {
   EXPECT_EQ(grind_, 0.8);
 }
 
+TEST_F(FlagsTest, EmptyValueTakesNoOtherWord) {
+  room_ = "terrace";
+  const char* words[] = {"bar", "coffee", "filter", "--room=", "--grind=0.8"};
+  ASSERT_TRUE(line_.Parse(5, words).ok());
+  EXPECT_EQ(room_, "");
+  EXPECT_EQ(grind_, 0.8);
+}
+
+TEST_F(FlagsTest, EmptyValueIsRefusedWhereAnotherIsNeeded) {
+  EXPECT_EQ(Wrong({"coffee", "filter", "--grind=", "--room=terrace"}),
+            "--grind: got \"\"; allowed is a finite number");
+}
+
+TEST_F(FlagsTest, ValueIsRefusedOfAFlagThatTakesNone) {
+  EXPECT_EQ(Wrong({"coffee", "filter", "--json=yes"}),
+            "--json: got \"yes\"; allowed is no value");
+}
+
 TEST_F(FlagsTest, TextIsReadByWhoeverWantsIt) {
   std::string milk;
   line_.program().AddText(

@@ -79,6 +79,40 @@ TEST_F(SettingsTest, FlagsWinOverEnvironmentOverFileOverDefaults) {
             "127.0.0.3:1");
 }
 
+TEST_F(SettingsTest, EmptyValueTakesNoOtherWord) {
+  const ServerSettings settings =
+      Parse({"--policy=", "--listen=127.0.0.1:1"}, {"REVISIT_POLICY=p"});
+  EXPECT_EQ(settings.policy, "");
+  EXPECT_EQ(settings.listen, "127.0.0.1:1");
+}
+
+TEST_F(SettingsTest, EmptyValueIsRefusedWhereAnotherIsNeeded) {
+  for (const Words& words :
+       {Words{"--store=", "--listen=127.0.0.1:1"}, Words{"verify", "--store="},
+        Words{"--worker-threads=", "--listen=127.0.0.1:1"},
+        Words{"backup", "--to="}, Words{"import", "--from="}}) {
+    EXPECT_THAT(Refusal(words), HasSubstr("got \"\"; allowed is "));
+  }
+  EXPECT_THAT(Refusal({}, {"REVISIT_STORE="}), HasSubstr("store: got \"\""));
+}
+
+TEST_F(SettingsTest, ValueIsRefusedOfAFlagThatTakesNone) {
+  EXPECT_EQ(Refusal({"--print-config=yes"}),
+            "--print-config: got \"yes\"; allowed is no value");
+}
+
+TEST_F(SettingsTest, MistypedWordIsToldWithWhatMayBeMeant) {
+  EXPECT_EQ(Refusal({"--lisen=127.0.0.1:1"}),
+            "got \"--lisen\", which is no flag of revisitd; did you mean "
+            "--listen?");
+  EXPECT_EQ(Refusal({"backup", "--too", "x"}),
+            "got \"--too\", which is no flag of revisitd backup; did you mean "
+            "--to?");
+  EXPECT_EQ(Refusal({"bakup"}),
+            "got \"bakup\"; did you mean backup? allowed is backup, verify, "
+            "compact, migrate, import");
+}
+
 TEST_F(SettingsTest, UnknownKeysAreRefusedByName) {
   EXPECT_THAT(Refusal({"--no-such-flag"}), HasSubstr("--no-such-flag"));
   EXPECT_THAT(Refusal({"stray"}), HasSubstr("stray"));

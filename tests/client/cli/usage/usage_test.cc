@@ -1,7 +1,6 @@
 // The texts that are made of commands and flags.
 #include "client/cli/usage/help_text.h"
 #include "client/cli/usage/man_page.h"
-#include "client/cli/usage/suggestion.h"
 #include "client/cli/usage/text_blocks.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
@@ -103,31 +102,6 @@ TEST(TextBlocksTest, ElementWithoutTextDoesNotMoveTheOthers) {
 TEST(TextBlocksTest, LongWordHasALineOfItsOwn) {
   EXPECT_EQ(Wrapped("a incomprehensibility b", 10, "x ", 2),
             "x a\n  incomprehensibility\n  b\n");
-}
-
-TEST(SuggestionTest, CountsLettersThatDiffer) {
-  EXPECT_EQ(EditDistance("stream", "stream"), 0u);
-  EXPECT_EQ(EditDistance("stram", "stream"), 1u);
-  EXPECT_EQ(EditDistance("stremas", "streams"), 1u);
-  EXPECT_EQ(EditDistance("", "abc"), 3u);
-  EXPECT_EQ(EditDistance("shwow", "show"), 1u);
-  EXPECT_EQ(EditDistance("fnid it", "find"), 4u);
-}
-
-TEST(SuggestionTest, MistypedWordIsToldWithWhatIsAllowed) {
-  EXPECT_EQ(MistypedWord("shwo", {"find", "show"}),
-            "got \"shwo\"; did you mean show? allowed is find, show");
-  EXPECT_EQ(MistypedWord("x", {"find", "show"}),
-            "got \"x\"; allowed is find, show");
-}
-
-TEST(SuggestionTest, NamesTheNearestWordAndNoneThatIsFar) {
-  const std::vector<std::string> known = {"stream", "show", "find", "vehicle"};
-  EXPECT_EQ(Suggestion("stram", known), "stream");
-  EXPECT_EQ(Suggestion("hsow", known), "show");
-  EXPECT_EQ(Suggestion("veh", known), "vehicle");
-  EXPECT_EQ(Suggestion("bogus", known), "");
-  EXPECT_EQ(Suggestion("", known), "");
 }
 
 TEST(ManPageTest, NothingOfTheTextIsTakenForACommandOfTheFormatter) {
