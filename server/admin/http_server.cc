@@ -17,8 +17,8 @@
 #include <utility>
 
 #include "absl/status/status.h"
-#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
+#include "server/base/listen_address.h"
 
 namespace revisit::server {
 namespace {
@@ -35,26 +35,6 @@ constexpr std::uint32_t kMaxRequestBytes = 8 << 10;
 constexpr std::chrono::seconds kPatience{10};
 // How long accepting rests after it has failed, as for want of descriptors.
 constexpr std::chrono::milliseconds kAcceptDelay{100};
-
-struct HostAndPort {
-  std::string host;
-  std::string port;
-};
-
-std::optional<HostAndPort> Split(const std::string& address) {
-  const std::size_t colon = address.rfind(':');
-  if (colon == std::string::npos || colon == 0) return std::nullopt;
-  HostAndPort split = {address.substr(0, colon), address.substr(colon + 1)};
-  int port = 0;
-  if (split.port.size() > 5 || !absl::SimpleAtoi(split.port, &port) ||
-      port < 0 || port > 65535) {
-    return std::nullopt;
-  }
-  if (split.host.front() == '[' && split.host.back() == ']') {
-    split.host = split.host.substr(1, split.host.size() - 2);
-  }
-  return split;
-}
 
 std::string TextOf(const tcp::endpoint& endpoint) {
   const std::string host = endpoint.address().to_string();
@@ -173,7 +153,7 @@ class HttpServer::State {
     if (thread_.joinable()) thread_.join();
   }
 
-  error_code Open(const HostAndPort& address) {
+  error_code Open(const ListenAddress& address) {
     error_code error;
     const auto endpoints = tcp::resolver(context_).resolve(
         address.host, address.port, tcp::resolver::passive, error);
@@ -240,11 +220,8 @@ HttpServer::~HttpServer() = default;
 
 absl::StatusOr<std::unique_ptr<HttpServer>> HttpServer::Listen(
     const std::string& address, Handler handler) {
-  const std::optional<HostAndPort> split = Split(address);
-  if (!split) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "got ", address, "; allowed is HOST:PORT with a port in [0, 65535]"));
-  }
+  const absl::StatusOr<ListenAddress> parsed = ParseListenAddress(address);
+  if (!parsed.ok()) return parsed.status();
   const auto cannot = [&](const error_code& error) {
     return absl::UnavailableError(
         absl::StrCat("cannot listen at ", address, ": ", error.message()));
@@ -256,7 +233,7 @@ absl::StatusOr<std::unique_ptr<HttpServer>> HttpServer::Listen(
     // There is no descriptor for it.
     return cannot(error.code());
   }
-  if (const error_code error = state->Open(*split)) return cannot(error);
+  if (const error_code error = state->Open(*parsed)) return cannot(error);
   std::string chosen = TextOf(state->local_endpoint());
   state->Start();
   return std::unique_ptr<HttpServer>(

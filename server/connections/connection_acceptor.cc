@@ -21,6 +21,7 @@
 #include <optional>
 #include <utility>
 
+#include "server/base/listen_address.h"
 #include "server/base/metrics.h"
 #include "server/connections/metered_reads.h"
 
@@ -46,11 +47,6 @@ std::string ErrnoText() {
 absl::Status CannotListen(const std::string& address, const std::string& why) {
   return absl::UnavailableError(
       ("cannot listen at " + address + ": " + why).c_str());
-}
-
-absl::Status NoAddress(const std::string& address, const std::string& why) {
-  return absl::InvalidArgumentError(
-      ("listen: got " + address + "; " + why).c_str());
 }
 
 bool HasPrefix(const std::string& text, const char* prefix) {
@@ -198,29 +194,14 @@ absl::Status ConnectionAcceptor::Open() {
 }
 
 absl::Status ConnectionAcceptor::OpenInternet() {
-  const std::size_t colon = address_.rfind(':');
-  if (colon == std::string::npos) {
-    return NoAddress(address_, "a port is missing: HOST:PORT");
-  }
-  std::string host = address_.substr(0, colon);
-  const std::string port = address_.substr(colon + 1);
-  if (host.size() > 2 && host.front() == '[' && host.back() == ']') {
-    host = host.substr(1, host.size() - 2);
-  } else if (host.find(':') != std::string::npos) {
-    return NoAddress(address_, "an IPv6 address stands in brackets");
-  }
-  if (port.empty() ||
-      port.find_first_not_of("0123456789") != std::string::npos ||
-      port.size() > 5 || std::stoi(port) > 65535) {
-    return NoAddress(address_, "a port is a number from 0 to 65535");
-  }
-  // One socket for :: serves both families.
-  if (host.empty()) host = "::";
+  const absl::StatusOr<ListenAddress> address = ParseListenAddress(address_);
+  if (!address.ok()) return address.status();
   addrinfo hints{};
   hints.ai_socktype = SOCK_STREAM;
   hints.ai_flags = AI_PASSIVE | AI_NUMERICSERV;
   addrinfo* found = nullptr;
-  const int error = getaddrinfo(host.c_str(), port.c_str(), &hints, &found);
+  const int error =
+      getaddrinfo(address->host.c_str(), address->port.c_str(), &hints, &found);
   if (error != 0) return CannotListen(address_, gai_strerror(error));
   const std::unique_ptr<addrinfo, decltype(&freeaddrinfo)> owner(found,
                                                                  freeaddrinfo);
@@ -241,7 +222,8 @@ absl::Status ConnectionAcceptor::OpenInternet() {
     chosen = PortOf(listener);
   }
   if (listeners_.empty()) return CannotListen(address_, failure);
-  address_ = address_.substr(0, colon + 1) + std::to_string(chosen);
+  address_.resize(address_.size() - address->port.size());
+  address_ += std::to_string(chosen);
   return absl::OkStatus();
 }
 

@@ -11,6 +11,7 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
+#include "server/base/listen_address.h"
 #include "server/settings/command_line.h"
 #include "server/settings/settings_file.h"
 
@@ -85,21 +86,16 @@ std::string ConfigOf(const std::vector<std::string>& environment) {
 
 // ---- Settings that go together
 
-// The host of an address HOST:PORT, without the brackets of IPv6.
-std::string HostOf(const std::string& address) {
-  const std::string host = address.substr(0, address.rfind(':'));
-  if (host.size() > 2 && host.front() == '[' && host.back() == ']') {
-    return host.substr(1, host.size() - 2);
-  }
-  return host;
+bool IsSocketOfUnix(const std::string& address) {
+  return absl::StartsWith(address, "unix:") ||
+         absl::StartsWith(address, "unix-abstract:");
 }
 
 bool IsLoopback(const std::string& address) {
-  if (address.rfind("unix:", 0) == 0 ||
-      address.rfind("unix-abstract:", 0) == 0) {
-    return true;
-  }
-  const std::string host = HostOf(address);
+  if (IsSocketOfUnix(address)) return true;
+  const absl::StatusOr<ListenAddress> parsed = ParseListenAddress(address);
+  if (!parsed.ok()) return false;
+  const std::string& host = parsed->host;
   if (host == "localhost") return true;
   in_addr four{};
   if (inet_pton(AF_INET, host.c_str(), &four) == 1) {
@@ -108,6 +104,23 @@ bool IsLoopback(const std::string& address) {
   in6_addr six{};
   return inet_pton(AF_INET6, host.c_str(), &six) == 1 &&
          IN6_IS_ADDR_LOOPBACK(&six);
+}
+
+// The form of the addresses, before it is asked who may reach them.
+absl::Status CheckAddresses(const ServerSettings& s) {
+  const auto check = [](const char* key, const std::string& address) {
+    const absl::Status status = ParseListenAddress(address).status();
+    return status.ok() ? status
+                       : absl::InvalidArgumentError(
+                             absl::StrCat(key, ": ", status.message()));
+  };
+  if (!IsSocketOfUnix(s.listen)) {
+    if (absl::Status status = check("listen", s.listen); !status.ok()) {
+      return status;
+    }
+  }
+  return s.admin_listen.empty() ? absl::OkStatus()
+                                : check("admin-listen", s.admin_listen);
 }
 
 absl::Status CheckSecurity(const ServerSettings& s) {
@@ -155,7 +168,11 @@ absl::Status Check(const CommandLine& line) {
     return absl::InvalidArgumentError(
         "store: got \"\"; allowed is a path, or postgresql://...");
   }
-  return line.Task() ? absl::OkStatus() : CheckSecurity(settings);
+  if (line.Task()) return absl::OkStatus();
+  if (absl::Status status = CheckAddresses(settings); !status.ok()) {
+    return status;
+  }
+  return CheckSecurity(settings);
 }
 
 }  // namespace

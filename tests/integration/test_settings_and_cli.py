@@ -139,14 +139,17 @@ def test_address_that_is_taken_is_told(tmp_path):
 
 
 @pytest.mark.parametrize("address, allowed", [
-    ("127.0.0.1", "HOST:PORT"),
+    ("127.0.0.1", "HOST:PORT, such as 127.0.0.1:50051"),
+    (":50051", "0.0.0.0 stands for all addresses of IPv4"),
+    ("0.0.0.0", "HOST:PORT, such as"),
     ("127.0.0.1:99999", "from 0 to 65535"),
     ("127.0.0.1:http", "from 0 to 65535"),
 ])
 def test_what_is_no_address_is_wrong_usage(address, allowed, tmp_path):
     result = run("revisitd", "--listen", address, "--store", tmp_path / "store")
     assert result.returncode == 64
-    assert f"got {address};" in result.stderr and allowed in result.stderr
+    assert f'listen: got "{address}"; allowed is' in result.stderr
+    assert allowed in result.stderr
 
 
 def test_port_file_tells_where_it_listens(tmp_path):

@@ -186,8 +186,8 @@ TEST_F(SettingsTest, ListeningBeyondTheMachineNeedsTlsAndIdentities) {
   }
   for (const std::string listen :
        {"0.0.0.0:1", "[::]:1", "128.0.0.1:1", "127.0.0.1.example:1",
-        "localhost.example:1", "127.1:1", "example:1", "*:1", ":1",
-        "[::ffff:10.0.0.1]:1", "dns:///127.0.0.1:1"}) {
+        "localhost.example:1", "127.1:1", "example:1", "*:1",
+        "[::ffff:10.0.0.1]:1"}) {
     const Words remote = {"--listen=" + listen};
     const auto open = HasSubstr("could read and change all vehicles");
     EXPECT_THAT(Refusal(remote), open) << listen;
@@ -199,6 +199,26 @@ TEST_F(SettingsTest, ListeningBeyondTheMachineNeedsTlsAndIdentities) {
     Parse(with(remote, with(tls, {"--tls-client-ca=a", "--policy=p"})));
     Parse(with(remote, {"--insecure-allow-remote=on"}));
   }
+}
+
+TEST_F(SettingsTest, FormOfAnAddressComesBeforeWhoMayReachIt) {
+  for (const std::string key : {"listen", "admin-listen"}) {
+    for (const auto& [address, allowed] :
+         std::vector<std::pair<std::string, std::string>>{
+             {"foo", "HOST:PORT, such as 127.0.0.1:50051, or [ADDRESS]:PORT"},
+             {":50051", "HOST:PORT; 0.0.0.0 stands for all"},
+             {"[]:50051", "HOST:PORT; 0.0.0.0 stands for all"},
+             {"::1:50051", "HOST:PORT, or [ADDRESS]:PORT for IPv6"},
+             {"dns:///127.0.0.1:1", "HOST:PORT, or [ADDRESS]:PORT for IPv6"},
+             {"0.0.0.0:", "HOST:PORT with a port from 0 to 65535"},
+             {"0.0.0.0:65536", "HOST:PORT with a port from 0 to 65535"}}) {
+      EXPECT_THAT(
+          Refusal({"--" + key + "=" + address}),
+          StartsWith(key + ": got \"" + address + "\"; allowed is " + allowed));
+    }
+  }
+  EXPECT_THAT(Refusal({"--listen="}), StartsWith("listen: got \"\"; allowed"));
+  EXPECT_EQ(Parse({"--admin-listen="}).admin_listen, "");
 }
 
 TEST_F(SettingsTest, SecuritySettingsThatDoNotGoTogetherAreRefused) {
