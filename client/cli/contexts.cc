@@ -7,7 +7,6 @@
 #include <algorithm>
 #include <cerrno>
 #include <cstdlib>
-#include <cstring>
 #include <filesystem>
 #include <fstream>
 #include <iterator>
@@ -18,6 +17,7 @@
 #include "absl/strings/ascii.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "client/terminal/file_error.h"
 #include "client/terminal/replaced_file.h"
 #include "client/terminal/terminal.h"
 #include "core/base/suggestion.h"
@@ -49,11 +49,6 @@ class Descriptor {
 absl::Status Wrong(const std::string& path, const std::string& problem) {
   return LocalError(
       absl::InvalidArgumentError(absl::StrCat(path, ": ", problem)));
-}
-
-absl::Status SystemError(const std::string& path) {
-  return LocalError(
-      absl::UnknownError(absl::StrCat(path, ": ", std::strerror(errno))));
 }
 
 // "no such key; did you mean tls-ca? allowed is ..."
@@ -151,7 +146,7 @@ std::string TextOf(const Contexts& contexts) {
 // Waits until no other process changes the file.
 absl::Status Lock(const Descriptor& lock, const std::string& path) {
   while (lock.number() < 0 || flock(lock.number(), LOCK_EX) != 0) {
-    if (lock.number() < 0 || errno != EINTR) return SystemError(path);
+    if (lock.number() < 0 || errno != EINTR) return FileError(path, errno);
   }
   return absl::OkStatus();
 }
@@ -209,7 +204,7 @@ absl::StatusOr<Contexts> ReadContexts(const std::string& path) {
   std::ifstream file(path, std::ios::binary);
   const std::string text{std::istreambuf_iterator<char>(file),
                          std::istreambuf_iterator<char>()};
-  if (!file.is_open() || file.bad()) return SystemError(path);
+  if (!file.is_open() || file.bad()) return FileError(path, errno);
   try {
     return Parse(path, Json::parse(text));
   } catch (const Json::parse_error& problem) {

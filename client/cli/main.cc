@@ -36,6 +36,7 @@
 #include "client/cli/usage/help_text.h"
 #include "client/revisit/channel.h"
 #include "client/revisit/client.h"
+#include "client/terminal/output_file.h"
 #include "client/terminal/terminal.h"
 #include "core/base/build_info.h"
 #include "grpcpp/channel.h"
@@ -148,9 +149,7 @@ int Main(int argc, const char* const* argv) {
                              line->format, TerminalWidth(STDOUT_FILENO)};
   absl::Status status =
       RunChosen(*line, command_line.program(), connection, terminal);
-  if (std::cout.flush(); status.ok() && !std::cout) {
-    status = LocalError(absl::UnknownError("the output cannot be written"));
-  }
+  if (std::cout.flush(); status.ok()) status = CheckOutput(std::cout);
   if (!status.ok()) ReportError(status, terminal.json());
   return ExitCodeOf(status);
 }

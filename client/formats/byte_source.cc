@@ -254,13 +254,7 @@ absl::StatusOr<std::unique_ptr<ByteSource>> OpenBytes(
   int fd = STDIN_FILENO;
   if (path != "-") {
     fd = open(path.c_str(), O_RDONLY | O_CLOEXEC);
-    if (fd < 0) {
-      const int error = errno;
-      const std::string message =
-          absl::StrCat(path, ": ", std::strerror(error));
-      if (error == EACCES) return absl::PermissionDeniedError(message);
-      return absl::NotFoundError(message);
-    }
+    if (fd < 0) return absl::ErrnoToStatus(errno, path);
   }
   auto source = std::make_unique<Descriptor>(fd, path, before_wait);
   struct stat status = {};

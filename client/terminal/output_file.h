@@ -28,8 +28,6 @@ class OutputFile {
   absl::Status Finish();
 
  private:
-  absl::Status Error() const;
-
   std::string path_;
   // The unfinished file, to be removed; empty if there is none.
   std::string aside_;
@@ -41,8 +39,8 @@ class OutputFile {
 absl::Status WriteTo(const std::string& path, std::ostream& terminal,
                      const std::function<absl::Status(std::ostream&)>& write);
 
-// An error if the output has failed, such as for a full disk.
-absl::Status CheckOutput(const std::ostream& out);
+// An error if the output has failed, with the reason, such as a full disk.
+absl::Status CheckOutput(std::ostream& out);
 
 }  // namespace revisit::client
 

@@ -6,29 +6,22 @@
 #include <cerrno>
 #include <cstdio>
 #include <cstdlib>
-#include <cstring>
 #include <filesystem>
 
-#include "absl/strings/str_cat.h"
-#include "client/terminal/terminal.h"
+#include "client/terminal/file_error.h"
 
 namespace revisit::client {
 namespace {
-
-absl::Status FileError(const std::string& path) {
-  return LocalError(
-      absl::UnknownError(absl::StrCat(path, ": ", std::strerror(errno))));
-}
 
 absl::Status WriteDurably(int file, const std::string& text,
                           const std::string& path) {
   for (std::size_t done = 0; done < text.size();) {
     const ssize_t wrote = write(file, text.data() + done, text.size() - done);
     if (wrote < 0 && errno == EINTR) continue;
-    if (wrote < 0) return FileError(path);
+    if (wrote < 0) return FileError(path, errno);
     done += static_cast<std::size_t>(wrote);
   }
-  return fsync(file) == 0 ? absl::OkStatus() : FileError(path);
+  return fsync(file) == 0 ? absl::OkStatus() : FileError(path, errno);
 }
 
 // The new name is on the disk once the folder is. One that cannot be flushed,
@@ -48,11 +41,11 @@ absl::Status ReplaceFile(const std::string& path, const std::string& text) {
   std::string aside = path + ".XXXXXX";
   // Nobody else may read such a file from its beginning on.
   const int file = mkostemp(aside.data(), O_CLOEXEC);
-  if (file < 0) return FileError(path);
+  if (file < 0) return FileError(path, errno);
   absl::Status done = WriteDurably(file, text, path);
   close(file);
   if (done.ok() && std::rename(aside.c_str(), path.c_str()) != 0) {
-    done = FileError(path);
+    done = FileError(path, errno);
   }
   if (!done.ok()) {
     std::remove(aside.c_str());

@@ -683,6 +683,19 @@ def test_empty_value_takes_no_other_word(revisit):
     assert vehicle["settings"]["acceptanceProbability"] == 0.75
 
 
+@pytest.mark.parametrize("output", [["--output", "/dev/full"], []], ids=str)
+def test_full_disk_is_told_by_its_code(output):
+    with open("/dev/full", "wb") as full:
+        result = subprocess.run(
+            [BIN / "revisit", "convert", BOREAS, *output, "--json"], stdout=full,
+            stderr=subprocess.PIPE, text=True, check=False, timeout=60)
+    assert result.returncode == 1
+    # Warnings about the recording come first.
+    error = json.loads(result.stderr.splitlines()[-1])["error"]
+    assert error["code"] == "RESOURCE_EXHAUSTED"
+    assert error["message"].endswith(": No space left on device")
+
+
 @pytest.mark.parametrize("words", [
     ["--json=yes", "info"], ["info", "--json="], ["info", "--json=true"],
     ["vehicle", "update", "x", "--apply-inflation=no"]], ids=str)

@@ -1,7 +1,6 @@
 #include "client/cli/commands/help_command.h"
 
 #include <cerrno>
-#include <cstring>
 #include <fstream>
 #include <memory>
 #include <vector>
@@ -9,6 +8,7 @@
 #include "absl/strings/str_cat.h"
 #include "client/cli/usage/completion.h"
 #include "client/cli/usage/help_text.h"
+#include "client/terminal/file_error.h"
 #include "core/base/suggestion.h"
 
 namespace revisit::client {
@@ -42,10 +42,7 @@ absl::Status WritePages(const std::string& directory,
     std::ofstream file(path, std::ios::binary);
     file << page.text;
     file.close();
-    if (!file) {
-      return LocalError(
-          absl::UnknownError(absl::StrCat(path, ": ", std::strerror(errno))));
-    }
+    if (!file) return FileError(path, errno);
   }
   return absl::OkStatus();
 }

@@ -4,7 +4,6 @@
 #include <atomic>
 #include <cerrno>
 #include <chrono>
-#include <cstring>
 #include <filesystem>
 #include <fstream>
 #include <iterator>
@@ -21,6 +20,7 @@
 #include "client/revisit/candidate_watch.h"
 #include "client/revisit/printable_text.h"
 #include "client/revisit/status.h"
+#include "client/terminal/file_error.h"
 #include "client/terminal/interrupt_guard.h"
 #include "client/terminal/output_file.h"
 #include "client/terminal/replaced_file.h"
@@ -262,10 +262,7 @@ absl::StatusOr<std::string> ReadCursorFile(const std::string& path) {
   std::ifstream file(path, std::ios::binary);
   const std::string text{std::istreambuf_iterator<char>(file),
                          std::istreambuf_iterator<char>()};
-  if (!file.is_open() || file.bad()) {
-    return LocalError(
-        absl::UnknownError(absl::StrCat(path, ": ", std::strerror(errno))));
-  }
+  if (!file.is_open() || file.bad()) return FileError(path, errno);
   return std::string(absl::StripAsciiWhitespace(text));
 }
 
