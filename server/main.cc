@@ -1,6 +1,8 @@
 // revisitd: reads its settings, serves until told to stop, and drains.
+#include <poll.h>
 #include <pthread.h>
 #include <signal.h>
+#include <sys/eventfd.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -100,6 +102,42 @@ class StopWhileStarting {
   StopWhileStarting& operator=(const StopWhileStarting&) = delete;
 
  private:
+  std::thread thread_;
+};
+
+// Sends the process SIGTERM once its standard input has ended.
+class EndWithInput {
+ public:
+  explicit EndWithInput(const Log* log)
+      : log_(log), stop_(eventfd(0, EFD_CLOEXEC)), thread_([this] { Watch(); }) {}
+  ~EndWithInput() {
+    eventfd_write(stop_, 1);
+    thread_.join();
+    close(stop_);
+  }
+
+  EndWithInput(const EndWithInput&) = delete;
+  EndWithInput& operator=(const EndWithInput&) = delete;
+
+ private:
+  void Watch() {
+    pollfd files[] = {{STDIN_FILENO, POLLIN, 0}, {stop_, POLLIN, 0}};
+    for (;;) {
+      if (poll(files, 2, -1) < 0) continue;
+      if (files[1].revents != 0) return;
+      char ignored[256];
+      const ssize_t size = read(STDIN_FILENO, ignored, sizeof(ignored));
+      if (size > 0 || (size < 0 && (errno == EINTR || errno == EAGAIN))) {
+        continue;
+      }
+      log_->Write(LogLevel::kInfo, "input_ended", {});
+      kill(getpid(), SIGTERM);
+      return;
+    }
+  }
+
+  const Log* const log_;
+  const int stop_;
   std::thread thread_;
 };
 
@@ -209,6 +247,8 @@ int RunServer(const revisit::server::ServerSettings& settings) {
   absl::SetMutexDeadlockDetectionMode(absl::OnDeadlockCycle::kIgnore);
   Log log(settings.log_format, settings.log_level, STDERR_FILENO);
   revisit::server::StartError error{};
+  std::optional<EndWithInput> end_with_input;
+  if (settings.end_with_input) end_with_input.emplace(&log);
   std::unique_ptr<RevisitServer> server;
   {
     const StopWhileStarting stop;

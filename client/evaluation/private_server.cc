@@ -2,7 +2,6 @@
 
 #include <fcntl.h>
 #include <poll.h>
-#include <sys/prctl.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -96,8 +95,9 @@ absl::Status PrivateServer::Launch(const std::string& directory) {
   if (!program.ok()) return program.status();
   const std::string log = directory + "/log";
   // Everything that the child needs is allocated before the fork.
-  std::vector<std::string> words = {*program, "--listen", "127.0.0.1:0",
-                                    "--store", directory + "/store"};
+  std::vector<std::string> words = {
+      *program, "--listen",          "127.0.0.1:0",      "--store",
+      directory + "/store", "--end-with-input", "on"};
   std::vector<char*> arguments;
   for (std::string& word : words) arguments.push_back(word.data());
   arguments.push_back(nullptr);
@@ -106,11 +106,17 @@ absl::Status PrivateServer::Launch(const std::string& directory) {
     if (std::strncmp(*entry, "REVISIT_", 8) != 0) environment.push_back(*entry);
   }
   environment.push_back(nullptr);
+  int input[2];
+  if (pipe2(input, O_CLOEXEC) != 0) return SystemError("pipe");
+  input_ = input[1];
   int pipe_ends[2];
-  if (pipe2(pipe_ends, O_CLOEXEC) != 0) return SystemError("pipe");
+  if (pipe2(pipe_ends, O_CLOEXEC) != 0) {
+    const absl::Status failed = SystemError("pipe");
+    close(input[0]);
+    return failed;
+  }
   const int log_file =
       open(log.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC | O_TRUNC, 0600);
-  const pid_t parent = getpid();
   const pid_t pid = log_file < 0 ? -1 : fork();
   if (pid == 0) {
     sigset_t none;
@@ -118,15 +124,14 @@ absl::Status PrivateServer::Launch(const std::string& directory) {
     sigprocmask(SIG_SETMASK, &none, nullptr);
     signal(SIGPIPE, SIG_DFL);
     setpgid(0, 0);
-    prctl(PR_SET_PDEATHSIG, SIGKILL);
-    // The parent may have died before this took effect.
-    if (getppid() != parent) _exit(127);
+    dup2(input[0], STDIN_FILENO);
     dup2(pipe_ends[1], STDOUT_FILENO);
     dup2(log_file, STDERR_FILENO);
     execve(arguments[0], arguments.data(), environment.data());
     _exit(127);
   }
   const absl::Status failed = SystemError("starting " + *program);
+  close(input[0]);
   close(pipe_ends[1]);
   if (log_file >= 0) close(log_file);
   if (pid < 0) {
@@ -186,8 +191,10 @@ void PrivateServer::Stop() {
     }
     pid_ = -1;
   }
-  if (output_ >= 0) close(output_);
-  output_ = -1;
+  for (int* end : {&input_, &output_}) {
+    if (*end >= 0) close(*end);
+    *end = -1;
+  }
   if (directory_.empty()) return;
   std::error_code error;
   std::filesystem::remove_all(directory_, error);

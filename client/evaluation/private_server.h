@@ -14,7 +14,7 @@ namespace revisit::client {
 // Runs the revisitd that lies beside this program, on a free port of 127.0.0.1,
 // with its store in a new directory under TMPDIR (or /tmp). REVISIT_ variables
 // of the environment are kept from it. It is in a process group of its own, so
-// that Ctrl-C does not reach it before us, and is killed if we die.
+// that Ctrl-C does not reach it before us, and ends by itself if we die.
 class PrivateServer {
  public:
   PrivateServer() = default;
@@ -47,6 +47,8 @@ class PrivateServer {
   // Empty before Start() and after Stop().
   std::string directory_ ABSL_GUARDED_BY(mutex_);
   pid_t pid_ ABSL_GUARDED_BY(mutex_) = -1;
+  // The end of a pipe that is the server's standard input, with which it ends.
+  int input_ ABSL_GUARDED_BY(mutex_) = -1;
   // The server's standard output: kept open, so that it may write to it.
   int output_ ABSL_GUARDED_BY(mutex_) = -1;
 };

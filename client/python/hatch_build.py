@@ -1,7 +1,7 @@
 """Generates revisit.v1 from the protos when the package is built.
 
-The protos and the licence lie at the top of the repository, outside of this
-project. A source distribution takes them along, so that a wheel can be built
+The protos, the licence and the shipped drive lie elsewhere in the repository, outside
+of this project. A source distribution takes them along, so that a wheel can be built
 from either.
 """
 
@@ -21,6 +21,8 @@ HEADER = '"""Messages and enums of the API, generated from its protos."""\n'
 KEYWORDS = {"VehicleSettings": "SettingsKeywords",
             "CandidateOptions": "CandidateKeywords",
             "GroupSettings": "GroupKeywords"}
+#: The shipped drive, with whose it is.
+DRIVE = ("tests/data/boreas/boreas_glen_shields.csv", "tests/data/boreas/NOTICE")
 KEYWORDS_HEADER = '''\
 """Types of settings that are given as keywords, generated from the protos: an enum is
 also the words of its values, a message also a mapping."""
@@ -213,10 +215,12 @@ class CustomBuildHook(BuildHookInterface):  # type: ignore[type-arg]
         root = pathlib.Path(self.root)
         protos = _find(root, "proto/revisit").parent
         licence = _find(root, "LICENSE")
+        drive = {name: str(_find(root, name)) for name in DRIVE}
         include = build_data["force_include"]
         if self.target_name == "sdist":
             include[str(protos / "revisit")] = "proto/revisit"
             include[str(licence)] = "LICENSE"
+            include.update({path: name for name, path in drive.items()})
             return
         if version == "editable":
             raise RuntimeError(
@@ -226,6 +230,8 @@ class CustomBuildHook(BuildHookInterface):  # type: ignore[type-arg]
         generate(protos, self._output)
         include[str(self._output / "revisit/v1")] = "revisit/v1"
         include[str(licence)] = "revisit/LICENSE"
+        for path in drive.values():
+            include[path] = f"revisit/drives/{pathlib.Path(path).name}"
 
     def finalize(self, version: str, build_data: dict[str, Any],
                  artifact_path: str) -> None:

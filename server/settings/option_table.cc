@@ -209,6 +209,9 @@ void AddServing(Group add, ServerSettings& s) {
            "to whoever reaches it; port 0 takes a free one; empty: none");
   add.Text("port-file", &s.port_file, "FILE",
            "File to which the address is written once calls are taken");
+  add.Choice("end-with-input", Switch(), &s.end_with_input,
+             "Whether the end of the standard input ends the server as SIGTERM "
+             "does, for a program that starts one for itself");
   add.Number("worker-threads", &s.worker_threads, 0, 1024,
              "Threads for acknowledging poses and other short work; 0 means "
              "one per processor");

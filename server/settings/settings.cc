@@ -29,7 +29,8 @@ constexpr char kEnvironmentPrefix[] = "REVISIT_";
 constexpr absl::string_view kVariablesOfOthers[] = {
     // The command line and the clients.
     "REVISIT_CONTEXT", "REVISIT_CONTEXTS_FILE", "REVISIT_PROGRAM",
-    "REVISIT_SERVER", "REVISIT_TLS_CA", "REVISIT_TOKEN_FILE",
+    "REVISIT_SERVER", "REVISIT_SERVER_PROGRAM", "REVISIT_TLS_CA",
+    "REVISIT_TOKEN_FILE",
     // The console, which has more that begin with REVISIT_CONSOLE_.
     "REVISIT_BASE_MAP", "REVISIT_METRICS",
     // The tests, which have more that begin with REVISIT_TEST_.

@@ -63,6 +63,10 @@ struct ServerSettings {
   std::string admin_listen;
   // If not empty, the address listened on is written here once calls are taken.
   std::string port_file;
+  // Whether the end of the standard input ends the server as SIGTERM does: a
+  // program that starts a server for itself holds the other end of a pipe,
+  // which goes with it however it ends.
+  bool end_with_input = false;
 
   // Threads for the vehicles' short work, such as acknowledging poses; 0 means
   // as many as the machine has processors. Range [0, 1024].

@@ -25,6 +25,7 @@ LONG = 60.0
 
 
 os.environ.setdefault("REVISIT_PROGRAM", str(BIN / "revisit"))
+os.environ.setdefault("REVISIT_SERVER_PROGRAM", str(BIN / "revisitd"))
 
 
 @pytest.fixture(scope="module")

@@ -58,6 +58,16 @@ def join(client: revisit.Client) -> int:
     members: list[str] = [member.vehicle for member in client.list_group_members("g")]
     return added.revision + linked.revision + made.revision + len(members) + len(frames)
 
+def own() -> str:
+    with revisit.serve(store=revisit.shipped_drive().parent, log_level="off") as client:
+        served: revisit.ServedClient = client
+        return f"{served.address} {served.store.name} {served.log}"
+
+async def own_awaited() -> str:
+    async with revisit.aio.serve() as client:
+        vehicle: v1.Vehicle = await client.create_vehicle("a")
+        return vehicle.name + client.address + str(client.store)
+
 async def join_awaited(client: revisit.aio.Client) -> str:
     await client.update_group_member("g", "a", None, expected_revision=3)
     linked = await client.add_inter_vehicle_loop_closure("g", ("a", 1), ("b", 2))
@@ -142,14 +152,17 @@ def test_a_wheel_is_built_from_a_source_distribution(distributions, tmp_path):
     with tarfile.open(source) as archive:
         names = {name.split("/", 1)[1] for name in archive.getnames()}
     assert {"proto/revisit/v1/geometry.proto", "LICENSE", "README.md",
-            "revisit/py.typed", "hatch_build.py"} <= names
+            "revisit/py.typed", "hatch_build.py",
+            "tests/data/boreas/boreas_glen_shields.csv",
+            "tests/data/boreas/NOTICE"} <= names
     assert not [name for name in names if name.endswith("_pb2.py")]
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
         archive.extractall(tmp_path)
     assert {"revisit/py.typed", "revisit/LICENSE", "revisit/v1/__init__.py",
             "revisit/v1/geometry_pb2.py", "revisit/v1/geometry_pb2.pyi",
-            "revisit/v1/pose_graph_service_pb2_grpc.py"} <= names
+            "revisit/v1/pose_graph_service_pb2_grpc.py",
+            "revisit/drives/boreas_glen_shields.csv", "revisit/drives/NOTICE"} <= names
     used = run(sys.executable, "-c", "import revisit; print(revisit.__file__, "
                "revisit.v1.Pose(sequence=7).sequence)",
                env={**os.environ, "PYTHONPATH": str(tmp_path)}, cwd=tmp_path)

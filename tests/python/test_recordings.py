@@ -1,6 +1,7 @@
 """Recordings are read by the program: the poses are those that it would stream, and
 what it finds wrong is raised."""
 
+import os
 import signal
 import stat
 import subprocess
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 import revisit
-from conftest import BOREAS, ROOT, as_bytes
+from conftest import BOREAS, LONG, ROOT, as_bytes
 from revisit import _program
 
 FORMATS = ROOT / "tests/data/formats"
@@ -18,7 +19,7 @@ FORMATS = ROOT / "tests/data/formats"
 
 def streamed(server, client, vehicle, *arguments):
     """The poses that the program's own stream has stored."""
-    subprocess.run([_program.find_program(), "stream", *map(str, arguments),
+    subprocess.run([_program.find_program("revisit"), "stream", *map(str, arguments),
                     "--vehicle", vehicle, "--create", "--server", server.address],
                    check=True, capture_output=True)
     return as_bytes(client.list_poses(vehicle))
@@ -146,29 +147,73 @@ def test_a_loop_that_is_left_early_ends_the_program(tmp_path, monkeypatch):
     assert program.returncode == -signal.SIGKILL
 
 
-def test_the_program_is_found_in_the_documented_order(tmp_path, monkeypatch):
-    def make(folder):
-        folder.mkdir(exist_ok=True)
-        made = folder / "revisit"
-        made.write_text("#!/bin/sh\n")
-        made.chmod(made.stat().st_mode | stat.S_IXUSR)
-        return made
+def made_program(path, text=""):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(f"#!/bin/sh\n{text}\n")
+    path.chmod(path.stat().st_mode | stat.S_IXUSR)
+    return str(path)
 
-    monkeypatch.delenv("REVISIT_PROGRAM")
+
+@pytest.mark.parametrize("name, variable", [
+    ("revisit", "REVISIT_PROGRAM"), ("revisitd", "REVISIT_SERVER_PROGRAM")])
+def test_programs_are_found_in_the_documented_order(name, variable, tmp_path,
+                                                    monkeypatch):
+    def found():
+        return _program.find_program(name)
+
+    def installed_in(folder):
+        monkeypatch.setattr(_program, "__file__",
+                            str(tmp_path / folder / "revisit/_program.py"))
+
+    monkeypatch.delenv(variable)
     monkeypatch.setenv("PATH", str(tmp_path / "on-path"))
     monkeypatch.setattr(sys, "executable", str(tmp_path / "beside/python"))
-    with pytest.raises(FileNotFoundError, match="neither on PATH nor named by"):
-        _program.find_program()
-    found = make(tmp_path / "on-path")
-    assert _program.find_program() == str(found)
-    found = make(tmp_path / "beside")
-    assert _program.find_program() == str(found)
-    monkeypatch.setenv("REVISIT_PROGRAM", str(tmp_path / "named"))
+    installed_in("user/lib/python3.11/site-packages")
+    with pytest.raises(FileNotFoundError, match=(
+            f"{name} is needed, .* nor named by {variable}: pip install "
+            "revisit-server, the Debian package revisit-server, or cmake --install")):
+        found()
+    on_path = made_program(tmp_path / "on-path" / name)
+    assert found() == on_path
+    beside = made_program(tmp_path / "beside" / name)
+    assert found() == beside
+    # Where pip install --user and --target put programs.
+    of_user = made_program(tmp_path / "user/bin" / name)
+    assert found() == of_user
+    installed_in("target")
+    assert found() == beside
+    of_target = made_program(tmp_path / "target/bin" / name)
+    assert found() == of_target
+    monkeypatch.setenv(variable, str(tmp_path / "named"))
     with pytest.raises(FileNotFoundError, match="named, which is no program"):
-        _program.find_program()
-    named = make(tmp_path / "other")
-    monkeypatch.setenv("REVISIT_PROGRAM", str(named))
-    assert _program.find_program() == str(named)
+        found()
+    named = made_program(tmp_path / "other" / name)
+    monkeypatch.setenv(variable, named)
+    assert found() == named
+
+
+def test_the_package_runs_as_the_program(tmp_path):
+    def run(*arguments, **variables):
+        return subprocess.run(
+            [sys.executable, "-m", "revisit", *arguments], capture_output=True,
+            text=True, env={**os.environ, **variables}, timeout=LONG, check=False)
+
+    shown = run("convert", str(BOREAS), "--to", "tum")
+    assert (shown.returncode, shown.stderr) == (0, "")
+    assert len(shown.stdout.splitlines()) > 2000
+    wrong = run("convert", "--no-such-flag")
+    assert wrong.returncode == 64 and "no-such-flag" in wrong.stderr
+    missing = run("convert", REVISIT_PROGRAM=str(tmp_path / "none"))
+    assert missing.returncode == 1
+    assert missing.stderr == (f"revisit: REVISIT_PROGRAM is {tmp_path}/none, which is "
+                              "no program\n")
+
+
+def test_the_shipped_drive_comes_with_whose_it_is():
+    path = revisit.shipped_drive()
+    assert path.is_absolute() and path.read_bytes() == BOREAS.read_bytes()
+    assert "CC BY 4.0" in (path.parent / "NOTICE").read_text()
+    assert len(revisit.read_recording(path, uncertainty="file")) == 2076
 
 
 @pytest.mark.parametrize("answer, problem", [

@@ -1,6 +1,6 @@
 """Client of revisit, which tells a vehicle where it has probably been before.
 
-    with revisit.Client("127.0.0.1:50051") as client:
+    with revisit.serve() as client:         # or revisit.Client("127.0.0.1:50051")
         client.create_vehicle("shuttle-7")
         options = revisit.StreamOptions(send_candidates=True)
         with client.stream_poses("shuttle-7", options) as stream:
@@ -14,6 +14,7 @@
 from revisit import aio, v1
 from revisit._calls import evidence_of
 from revisit._group_calls import datum
+from revisit._server_process import ServerEnded
 from revisit._version import __version__
 from revisit.arrays import Poses
 from revisit.backoff import BackoffOptions
@@ -43,7 +44,13 @@ from revisit.errors import (
 from revisit.maps import Map
 from revisit.pose_stream import PoseStream
 from revisit.recording_starts import recording_start
-from revisit.recordings import RecordingError, iter_recording, read_recording
+from revisit.recordings import (
+    RecordingError,
+    iter_recording,
+    read_recording,
+    shipped_drive,
+)
+from revisit.serving import ServedClient, serve
 from revisit.stream_options import ProgressBar, StreamCallbacks, StreamOptions
 from revisit.tables import (
     PoseGraph,
@@ -59,12 +66,13 @@ from revisit.watch import CheckList, Watch, WatchEvent
 __all__ = [
     "Aborted", "AlreadyExists", "BackoffOptions", "Cancelled", "CheckList",
     "Client", "CursorFile", "DataLoss", "DeadlineExceeded", "Error",
-    "FailedPrecondition", "FieldViolation", "Internal", "InvalidArgument", "Map",
-    "NotFound", "OutOfRange", "PermissionDenied", "PoseGraph", "PoseStream",
-    "Poses", "ProgressBar", "QuotaViolation", "RecordingError", "ResourceExhausted",
-    "StreamCallbacks", "StreamOptions", "Table", "Unauthenticated", "Unavailable",
-    "Unimplemented", "VehicleReplaced", "Watch", "WatchEvent", "__version__", "aio",
+    "FailedPrecondition", "FieldViolation", "Internal", "InvalidArgument",
+    "Map", "NotFound", "OutOfRange", "PermissionDenied", "PoseGraph",
+    "PoseStream", "Poses", "ProgressBar", "QuotaViolation", "RecordingError",
+    "ResourceExhausted", "ServedClient", "ServerEnded", "StreamCallbacks",
+    "StreamOptions", "Table", "Unauthenticated", "Unavailable", "Unimplemented",
+    "VehicleReplaced", "Watch", "WatchEvent", "__version__", "aio",
     "candidate_table", "check_table", "datum", "edge_table", "evidence_of",
     "iter_recording", "node_table", "read_recording", "recording_start",
-    "recording_table", "v1",
+    "recording_table", "serve", "shipped_drive", "v1",
 ]

@@ -23,6 +23,7 @@ from revisit.errors import FieldViolation, error_class
 
 _log = logging.getLogger("revisit")
 
+_VARIABLES = {"revisit": "REVISIT_PROGRAM", "revisitd": "REVISIT_SERVER_PROGRAM"}
 _USAGE = 64
 _LOCAL = 1
 _PROGRESS = re.compile(r" \w+  \d+/s( |$)")
@@ -34,27 +35,47 @@ class RecordingError(ValueError):
     file and line, and the flag that may mend it."""
 
 
-def find_program() -> str:
-    """The path of the program: what REVISIT_PROGRAM names, else the one beside this
-    package or this Python, else the one on PATH. FileNotFoundError if there is
-    none."""
-    named = os.environ.get("REVISIT_PROGRAM")
+def find_program(name: str) -> str:
+    """The path of `revisit` or `revisitd`: what its variable of the environment names,
+    else the one that was installed with this package or this Python, else the one on
+    PATH. FileNotFoundError if there is none."""
+    variable = _VARIABLES[name]
+    named = os.environ.get(variable)
     if named:
         if shutil.which(named) is None:
-            raise FileNotFoundError(f"REVISIT_PROGRAM is {named}, which is no program")
+            raise FileNotFoundError(f"{variable} is {named}, which is no program")
         return named
-    for place in (pathlib.Path(__file__).parent / "bin",
-                  pathlib.Path(sys.executable).parent):
-        found = shutil.which("revisit", path=os.fspath(place))
+    for place in _places_of_scripts():
+        found = shutil.which(name, path=os.fspath(place))
         if found is not None:
             return found
-    found = shutil.which("revisit")
+    found = shutil.which(name)
     if found is None:
         raise FileNotFoundError(
-            "the program revisit is needed, and is neither on PATH nor named by "
-            "REVISIT_PROGRAM: cmake --install or the Debian package of revisit brings "
-            "it")
+            f"the program {name} is needed, and is neither beside this package or "
+            f"Python, nor on PATH, nor named by {variable}: pip install "
+            "revisit-server, the Debian package revisit-server, or cmake --install "
+            "brings it")
     return found
+
+
+def _places_of_scripts() -> list[pathlib.Path]:
+    """Where an installer puts programs that it installs beside this package: below the
+    folder of `pip install --target`, below the prefix of lib/pythonX.Y/site-packages
+    (also that of `--user`), and beside Python."""
+    packages = pathlib.Path(__file__).absolute().parents[1]
+    places = [packages / "bin"]
+    if packages.name in ("site-packages", "dist-packages"):
+        places.append(packages.parents[2] / "bin")
+    if sys.executable:
+        places.append(pathlib.Path(sys.executable).parent)
+    return places
+
+
+def without_settings() -> dict[str, str]:
+    """The environment for a program whose arguments alone say what it does."""
+    return {name: value for name, value in os.environ.items()
+            if not name.startswith("REVISIT_")}
 
 
 def flags_of(keywords: Mapping[str, Any]) -> list[str]:
@@ -93,12 +114,9 @@ def running(arguments: Sequence[str],
     the program where the block is left early. Raises what it reports: ValueError for a
     wrong flag, FileNotFoundError, PermissionError or RecordingError for a file, `Error`
     for what a server answered."""
-    # The arguments alone say which server is asked, and who asks.
-    environment = {name: value for name, value in os.environ.items()
-                   if not name.startswith("REVISIT_")}
     with tempfile.TemporaryFile() as said, subprocess.Popen(
-            [find_program(), *arguments], stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE, stderr=said, env=environment) as program:
+            [find_program("revisit"), *arguments], stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE, stderr=said, env=without_settings()) as program:
         assert program.stdout is not None
         try:
             yield program.stdout

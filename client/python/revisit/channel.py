@@ -12,13 +12,16 @@ import ssl
 import threading
 import uuid
 from collections.abc import Iterator
-from typing import Any, Optional, Union
+from typing import TYPE_CHECKING, Any, Optional, Union
 
 import grpc
 
 from revisit.errors import (
     Cancelled, DeadlineExceeded, Error, Unauthenticated, Unavailable, is_cut)
 from revisit.v1 import pose_graph_service_pb2_grpc as service
+
+if TYPE_CHECKING:
+    from revisit._server_process import ServerProcess
 
 PathLike = Union[str, "os.PathLike[str]"]
 Metadata = tuple[tuple[str, str], ...]
@@ -115,6 +118,15 @@ def stub_of(channel: Any) -> Any:
     return service.PoseGraphServiceStub(channel)  # type: ignore[no-untyped-call]
 
 
+#: How much later than its connections a server may end, in seconds.
+END_SECONDS = 1.0
+
+
+def _broke_off(error: Error) -> bool:
+    """Whether a connection was lost or could not be made."""
+    return is_cut(error) or (isinstance(error, Unavailable) and not error.reason)
+
+
 class Lease:
     """A channel that is not closed as long as it is used. Counted by the lock of
     the `Channels` that it comes from."""
@@ -129,6 +141,9 @@ class Channels:
     """The channel to a server, which is made anew after it has failed: the back-off of
     gRPC would keep the old one from a server that is back for seconds more.
     Thread-safe."""
+
+    #: The server, where this process runs it: once it has ended, no call is made.
+    server: Optional[ServerProcess] = None
 
     def __init__(self, options: ChannelOptions) -> None:
         """OSError if a file cannot be read; ValueError if one holds something else,
@@ -156,10 +171,13 @@ class Channels:
 
     @contextlib.contextmanager
     def lease(self) -> Iterator[Lease]:
-        """The newest channel, for one call. Cancelled after `close()`."""
+        """The newest channel, for one call. Cancelled after `close()`; ServerEnded
+        after the end of a server that this process runs."""
         with self._lock:
             if self._closed:
                 raise Cancelled("the client is closed")
+            if self.server is not None:
+                self.server.check()
             if self._newest is None:
                 self._newest = Lease(self._open(self._made_of))
                 self._leases.append(self._newest)
@@ -175,7 +193,7 @@ class Channels:
     def report(self, lease: Lease, error: Error) -> None:
         """Lets later calls have a new channel if this error, which came on the
         leased one, shows that its connection or its server may have gone."""
-        if not (is_cut(error) or (
+        if not (_broke_off(error) or (
                 isinstance(error, (Unavailable, DeadlineExceeded))
                 and error.reason in ("", "SERVER_DRAINING"))):
             return
@@ -183,6 +201,12 @@ class Channels:
             if lease is self._newest and not self._closed:
                 lease.is_retired = True
                 self._newest = None
+
+    def explained(self, error: Error) -> Error:
+        """The error of a call, or the ServerEnded that is behind it."""
+        if self.server is None or self._closed or not _broke_off(error):
+            return error
+        return self.server.why_ended(END_SECONDS) or error
 
     def _close_if_done(self, lease: Lease) -> None:
         if lease.is_retired and lease.users == 0 and lease in self._leases:

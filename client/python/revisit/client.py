@@ -121,6 +121,7 @@ class Client:
                 except grpc.RpcError as raised:
                     error = from_rpc_error(raised, attempts.request_id or "")
                 self._channels.report(lease, error)
+            error = self._channels.explained(error)
             time.sleep(attempts.wait_after(error))
 
     def _pages(self, pages: Pages[_T]) -> Iterator[_T]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import logging
 import os
+import pathlib
 from collections.abc import Iterator, Sequence
 from typing import IO, Any, Optional, Union
 
@@ -22,10 +23,21 @@ from revisit.arrays import Poses
 from revisit.channel import PathLike
 from revisit.stream_options import ProgressBar
 
-__all__ = ["RecordingError", "iter_recording", "read_recording"]
+__all__ = ["RecordingError", "iter_recording", "read_recording", "shipped_drive"]
 
 #: No message of the program is larger.
 _MOST_BYTES = 64 << 20
+
+
+def shipped_drive() -> pathlib.Path:
+    """The path of a recording that comes with this package: two drives of a real car
+    over the same roads, 15.9 km with covariances, for a first try.
+
+        drive = revisit.read_recording(revisit.shipped_drive(), uncertainty="file")
+
+    It is of the Boreas dataset, under CC BY 4.0: NOTICE beside it says whose it is and
+    what was changed."""
+    return pathlib.Path(__file__).parent / "drives" / "boreas_glen_shields.csv"
 
 
 def read_recording(path: Union[PathLike, Sequence[PathLike]], *,

@@ -130,9 +130,9 @@ TEST_F(SettingsTest, UnknownKeysAreRefusedByName) {
 TEST_F(SettingsTest, VariablesOfOtherProgramsAreLeftAlone) {
   Parse({}, {"REVISIT_CONTEXT=x", "REVISIT_CONTEXTS_FILE=x", "REVISIT_SERVER=x",
              "REVISIT_TLS_CA=x", "REVISIT_TOKEN_FILE=x", "REVISIT_PROGRAM=x",
-             "REVISIT_METRICS=x", "REVISIT_BASE_MAP=x",
-             "REVISIT_CONSOLE_LISTEN=x", "REVISIT_BIN=x", "REVISIT_TEST_SEED=1",
-             "REVISITD=1", "X=", "no equals sign"});
+             "REVISIT_SERVER_PROGRAM=x", "REVISIT_METRICS=x",
+             "REVISIT_BASE_MAP=x", "REVISIT_CONSOLE_LISTEN=x", "REVISIT_BIN=x",
+             "REVISIT_TEST_SEED=1", "REVISITD=1", "X=", "no equals sign"});
 }
 
 TEST_F(SettingsTest, ValuesOutOfRangeAreRefusedWithTheRange) {

@@ -14,6 +14,8 @@ blocking client. One client is for one event loop.
 
 from revisit.aio.client import Client
 from revisit.aio.pose_stream import PoseStream
+from revisit.aio.serving import ServedClient, serve
 from revisit.aio.watch import CheckList, Watch, WatchEvent
 
-__all__ = ["CheckList", "Client", "PoseStream", "Watch", "WatchEvent"]
+__all__ = ["CheckList", "Client", "PoseStream", "ServedClient", "Watch", "WatchEvent",
+           "serve"]

@@ -8,6 +8,7 @@ from typing import Any, Optional
 import grpc
 
 from revisit.channel import ARGUMENTS, ChannelOptions, Channels
+from revisit.errors import Error
 
 
 class AioChannels(Channels):
@@ -27,6 +28,12 @@ class AioChannels(Channels):
         task = asyncio.get_running_loop().create_task(channel.close())
         self._closing.add(task)
         task.add_done_callback(self._closing.discard)
+
+    async def explain(self, error: Error) -> Error:
+        """Does what `explained()` does without holding up the event loop."""
+        if self.server is None:
+            return error
+        return await asyncio.to_thread(self.explained, error)
 
     async def aclose(self) -> None:
         """Ends all calls."""

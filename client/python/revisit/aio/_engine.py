@@ -86,6 +86,7 @@ class Engine:
                 error = await self._hold_on(lease, connection)
                 if isinstance(error, Error):
                     self._channels.report(lease, error)
+                    error = await self._channels.explain(error)
                 return error
         except Error as error:
             return error

@@ -111,6 +111,7 @@ class Client:
                         raise Cancelled("the client is closed") from None
                     raise
                 self._channels.report(lease, error)
+            error = await self._channels.explain(error)
             await asyncio.sleep(attempts.wait_after(error))
 
     async def _pages(self, pages: Pages[_T]) -> AsyncIterator[_T]:
