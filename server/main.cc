@@ -3,6 +3,7 @@
 #include <pthread.h>
 #include <signal.h>
 #include <sys/eventfd.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -10,10 +11,13 @@
 #include <chrono>
 #include <cstdio>
 #include <cstdlib>
+#include <cstring>
+#include <filesystem>
 #include <initializer_list>
 #include <memory>
 #include <optional>
 #include <string>
+#include <system_error>
 #include <thread>
 #include <vector>
 
@@ -109,7 +113,9 @@ class StopWhileStarting {
 class EndWithInput {
  public:
   explicit EndWithInput(const Log* log)
-      : log_(log), stop_(eventfd(0, EFD_CLOEXEC)), thread_([this] { Watch(); }) {}
+      : log_(log),
+        stop_(eventfd(0, EFD_CLOEXEC)),
+        thread_([this] { Watch(); }) {}
   ~EndWithInput() {
     eventfd_write(stop_, 1);
     thread_.join();
@@ -139,6 +145,32 @@ class EndWithInput {
   const Log* const log_;
   const int stop_;
   std::thread thread_;
+};
+
+// The directory of a store that goes with the server.
+class TemporaryStore {
+ public:
+  TemporaryStore() = default;
+  ~TemporaryStore() {
+    if (directory_.empty()) return;
+    std::error_code error;
+    std::filesystem::remove_all(directory_, error);
+  }
+
+  TemporaryStore(const TemporaryStore&) = delete;
+  TemporaryStore& operator=(const TemporaryStore&) = delete;
+
+  // Makes it, so that only what came after is ever removed. Returns whether it
+  // could be made; errno says why not.
+  bool Make(const std::string& directory) {
+    if (mkdir(directory.c_str(), 0700) != 0) return false;
+    directory_ = directory;
+    return true;
+  }
+
+ private:
+  // Empty if there is nothing to remove.
+  std::string directory_;
 };
 
 // The level of a log, which people change while the server runs.
@@ -247,6 +279,13 @@ int RunServer(const revisit::server::ServerSettings& settings) {
   absl::SetMutexDeadlockDetectionMode(absl::OnDeadlockCycle::kIgnore);
   Log log(settings.log_format, settings.log_level, STDERR_FILENO);
   revisit::server::StartError error{};
+  // Removed once the server, which has files in it, is gone.
+  TemporaryStore store;
+  if (settings.temporary_store && !store.Make(settings.store)) {
+    Complain("temporary-store: " + settings.store +
+             " cannot be made: " + std::strerror(errno));
+    return revisit::server::kExitStoreFailed;
+  }
   std::optional<EndWithInput> end_with_input;
   if (settings.end_with_input) end_with_input.emplace(&log);
   std::unique_ptr<RevisitServer> server;

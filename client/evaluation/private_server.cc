@@ -96,8 +96,9 @@ absl::Status PrivateServer::Launch(const std::string& directory) {
   const std::string log = directory + "/log";
   // Everything that the child needs is allocated before the fork.
   std::vector<std::string> words = {
-      *program, "--listen",          "127.0.0.1:0",      "--store",
-      directory + "/store", "--end-with-input", "on"};
+      *program,  "--listen",           "127.0.0.1:0",
+      "--store", directory + "/store", "--end-with-input",
+      "on"};
   std::vector<char*> arguments;
   for (std::string& word : words) arguments.push_back(word.data());
   arguments.push_back(nullptr);

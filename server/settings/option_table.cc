@@ -180,6 +180,9 @@ void AddServing(Group add, ServerSettings& s) {
       "Directory of the store, created if missing; or the store's file, if "
       "that is what the path names; or postgresql://..., a database that "
       "several servers share");
+  add.Choice("temporary-store", Switch(), &s.temporary_store,
+             "Whether the directory of the store, which must not exist yet, is "
+             "removed when the server ends");
   add.Text("advertise-address", &s.advertise_address, "HOST:PORT",
            "Address by which the servers of a shared store name this one; "
            "empty: that of listen");

@@ -36,6 +36,9 @@ struct ServerSettings {
   // itself, if the path is that of a file; or postgresql://..., a database that
   // several servers share.
   std::string store = "revisit-store";
+  // Whether the store goes with the server, for what nobody needs afterwards.
+  // Its directory is made by the server and must not exist before.
+  bool temporary_store = false;
   // The address by which the servers of a shared store name this one; empty:
   // `listen`.
   std::string advertise_address;

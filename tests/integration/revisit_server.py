@@ -130,10 +130,12 @@ class Server:
     """One revisitd on a free port of the loopback, over one store, which is a
     path or a URL. It may open as many files as `descriptors` says, if it says.
     Its log goes to a file beside the store, or to `log_path`, or to the
-    descriptor `stderr`. `launch` is what its command begins with."""
+    descriptor `stderr`. Its input is `stdin`. `launch` is what its command
+    begins with."""
 
     def __init__(self, store, *flags, env=None, wait=True, descriptors=None,
-                 listen="127.0.0.1:0", log_path=None, stderr=None, launch=()):
+                 listen="127.0.0.1:0", log_path=None, stderr=None,
+                 stdin=subprocess.DEVNULL, launch=()):
         self.store = store if "://" in str(store) else pathlib.Path(store)
         self.log_path = log_path or self.store.with_name(
             self.store.name + ".log")
@@ -147,7 +149,7 @@ class Server:
             self.process = subprocess.Popen(
                 [*launch, BIN / "revisitd", "--listen", listen, "--store",
                  self.store, *map(str, flags)],
-                stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+                stdin=stdin, stdout=subprocess.PIPE,
                 stderr=log if stderr is None else stderr,
                 text=True, env=env or clean_environment(),
                 preexec_fn=descriptors and (lambda: resource.setrlimit(

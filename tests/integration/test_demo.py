@@ -1,6 +1,7 @@
 """revisit demo: the loops of the shipped drive, on a server of its own, and its two
 days as two vehicles of one group."""
 
+import contextlib
 import json
 import re
 import signal
@@ -72,30 +73,52 @@ def test_demo_as_json_is_the_evaluation_alone(tmp_path):
     assert json.loads(shown.stdout)["total"]["checks"] == 312
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM],
-                         ids=lambda number: number.name)
-def test_demo_keeps_its_server_until_it_is_interrupted(number, tmp_path):
-    output = tmp_path / "output"
-    scratch = tmp_path / "scratch"
+@contextlib.contextmanager
+def kept_demo(directory):
+    """A demo that keeps its server: the process, and the server's address."""
+    output = directory / "output"
+    scratch = directory / "scratch"
     scratch.mkdir()
     with open(output, "wb") as file:
         process = subprocess.Popen(
-            [BIN / "revisit", "demo", "--keep"], cwd=tmp_path, stdout=file,
+            [BIN / "revisit", "demo", "--keep"], cwd=directory, stdout=file,
             stdin=subprocess.DEVNULL,
             env=clean_environment(TMPDIR=str(scratch)))
     try:
         wait_until(lambda: "until Ctrl-C" in output.read_text(), "last line",
                    RUN_SECONDS)
-        address = re.search(r"REVISIT_SERVER=(\S+)", output.read_text()).group(1)
+        yield process, re.search(r"REVISIT_SERVER=(\S+)",
+                                 output.read_text()).group(1)
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.wait(STOP_SECONDS)
+
+
+def is_up(address):
+    return run("revisit", "--server", address, "info").returncode != 78
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM],
+                         ids=lambda number: number.name)
+def test_demo_keeps_its_server_until_it_is_interrupted(number, tmp_path):
+    with kept_demo(tmp_path) as (process, address):
         found = run("revisit", "--server", address, "find", "boreas")
         assert found.returncode == 0, found.stderr
         assert "ACCEPTED" in found.stdout
         between = run("revisit", "--server", address, "find", "demo-day-2",
                       "--group", "demo", "--exclude-own")
         assert "vehicles/demo-day-1" in between.stdout, between.stderr
-    finally:
         process.send_signal(number)
         assert process.wait(STOP_SECONDS) == 130
-    assert list(scratch.iterdir()) == []
-    gone = run("revisit", "--server", address, "info")
-    assert gone.returncode == 78
+    assert list((tmp_path / "scratch").iterdir()) == []
+    assert not is_up(address)
+
+
+def test_server_of_a_demo_that_is_killed_ends(tmp_path):
+    with kept_demo(tmp_path) as (process, address):
+        assert is_up(address)
+        process.kill()
+        wait_until(lambda: not is_up(address), "end of the server")
+    [directory] = (tmp_path / "scratch").iterdir()
+    assert " stopped " in (directory / "log").read_text()

@@ -11,6 +11,7 @@ import grpc
 import pytest
 
 from documents import commands, is_shown
+from drive_client import create
 from revisit_server import (BIN, RUN_SECONDS, Server, clean_environment, run,
                             wait_until)
 from stubs import PROTO, ROOT, api
@@ -157,6 +158,28 @@ def test_port_file_tells_where_it_listens(tmp_path):
     with Server(tmp_path / "store", "--port-file", port_file) as server:
         wait_until(port_file.exists, "port file")
         assert port_file.read_text().strip() == server.address
+
+
+def test_temporary_store_goes_with_the_server(tmp_path):
+    store = tmp_path / "store"
+    with Server(store, "--temporary-store", "on") as server:
+        append(server.stub(), create(server.stub()).name, straight(3))
+        assert list(store.iterdir())
+        server.close_channels()
+        server.process.terminate()
+        assert server.process.wait(RUN_SECONDS) == 0, server.log()
+    assert not store.exists()
+
+
+def test_what_was_there_before_is_no_temporary_store(tmp_path):
+    store = tmp_path / "store"
+    store.mkdir()
+    (store / "file").write_text("precious")
+    for place in (store, store / "file", "postgresql:///fleet"):
+        refused = run("revisitd", "--store", place, "--temporary-store", "on")
+        assert refused.returncode == 74
+        assert f"temporary-store: {place} cannot be made" in refused.stderr
+    assert (store / "file").read_text() == "precious"
 
 
 def test_limits_of_the_flags_are_those_of_the_server(tmp_path):

@@ -2,6 +2,7 @@
 is in test_identity.py."""
 
 import signal
+import subprocess
 import time
 
 import pytest
@@ -43,6 +44,39 @@ def test_signal_that_asks_for_the_end_drains(number, tmp_path):
         server.process.send_signal(number)
         assert server.process.wait(30) == 0, server.log()
         assert " stopped " in server.log()
+
+
+def test_end_of_the_input_drains_where_it_is_asked_for(tmp_path):
+    with Server(tmp_path / "store", "--end-with-input", "on",
+                stdin=subprocess.PIPE) as server:
+        # It says nothing to the server that is written there.
+        server.process.stdin.write("words\n" * 100)
+        server.process.stdin.flush()
+        create(server.stub())
+        with PoseStream(server.stub(), VEHICLE) as stream:
+            stream.receive_kind("opened")
+            stream.send(straight(1))
+            assert stream.receive_kind("ack").durable_sequence == 1
+            assert server.is_running() and "input_ended" not in server.log()
+            server.process.stdin.close()
+            assert failure_of(stream.receive).reason == "SERVER_DRAINING"
+        server.close_channels()
+        assert server.process.wait(30) == 0, server.log()
+        assert " input_ended" in server.log() and " stopped " in server.log()
+
+
+def test_end_of_the_input_is_nothing_to_a_server_by_itself(tmp_path):
+    with Server(tmp_path / "store", stdin=subprocess.PIPE) as server:
+        server.process.stdin.close()
+        info(server.stub())
+        server.process.send_signal(signal.SIGTERM)
+        assert server.process.wait(30) == 0
+        assert "input_ended" not in server.log()
+
+
+def test_input_that_has_ended_ends_a_start(tmp_path):
+    with Server(tmp_path / "store", "--end-with-input", "on", wait=False) as server:
+        assert server.process.wait(30) == 0, server.log()
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT],

@@ -198,7 +198,7 @@ def test_the_package_runs_as_the_program(tmp_path):
             [sys.executable, "-m", "revisit", *arguments], capture_output=True,
             text=True, env={**os.environ, **variables}, timeout=LONG, check=False)
 
-    shown = run("convert", str(BOREAS), "--to", "tum")
+    shown = run("convert", str(BOREAS), "--to", "tum", "--uncertainty", "file")
     assert (shown.returncode, shown.stderr) == (0, "")
     assert len(shown.stdout.splitlines()) > 2000
     wrong = run("convert", "--no-such-flag")

@@ -8,6 +8,7 @@ import numbers
 import os
 import pathlib
 import re
+import secrets
 import select
 import shutil
 import subprocess
@@ -26,9 +27,11 @@ from revisit.channel import PathLike
 from revisit.errors import Error
 
 _USAGE = 64
-#: The setting by which the server ends with this process.
+#: The settings by which the server ends with this process, and the store with the
+#: server.
 _END_WITH_INPUT = "end-with-input"
-_OWN = ("listen", "store", _END_WITH_INPUT)
+_TEMPORARY_STORE = "temporary-store"
+_OWN = ("listen", "store", _END_WITH_INPUT, _TEMPORARY_STORE)
 #: What settings begin with that keep a client without TLS and tokens out.
 _CLOSED_TO_US = ("tls-", "token-", "policy")
 _SETTING = re.compile(r"^([a-z-]+) = ", re.MULTILINE)
@@ -80,26 +83,26 @@ class ServerProcess:
         self._lock = threading.Lock()
         self._log = tempfile.TemporaryFile()
         self._log_when_closed: Optional[str] = None
-        temporary = tempfile.mkdtemp(prefix="revisit-") if kept is None else None
         #: Where it keeps what it has.
-        self.store = pathlib.Path(temporary or "") if kept is None else kept
+        self.store = kept or _new_directory()
+        if kept is None:
+            flags.append(f"--{_TEMPORARY_STORE}=on")
+        self._ended = threading.Event()
         with contextlib.ExitStack() as failed:
             failed.callback(self._log.close)
-            if temporary is not None:
-                failed.callback(shutil.rmtree, temporary, ignore_errors=True)
             self.store.parent.mkdir(parents=True, exist_ok=True)
-            process = subprocess.Popen(
+            # A server whose start is interrupted here ends with its input.
+            self._process = subprocess.Popen(
                 [program, "--listen=127.0.0.1:0", f"--store={self.store}",
                  f"--{_END_WITH_INPUT}=on", *flags],
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._log,
                 env=without_settings(), start_new_session=True)
+            self._end = weakref.finalize(self, _end, self._process, self._ended,
+                                         self.store if kept is None else None,
+                                         self._owner)
             failed.pop_all()
-        self._ended = threading.Event()
-        self._process = process
-        threading.Thread(target=_await_end, args=(process, self._ended), daemon=True,
-                         name="revisit server").start()
-        self._end = weakref.finalize(self, _end, process, self._ended, temporary,
-                                     self._owner)
+        threading.Thread(target=_await_end, args=(self._process, self._ended),
+                         daemon=True, name="revisit server").start()
         _running.add(self)
         try:
             #: HOST:PORT.
@@ -212,7 +215,7 @@ def _await_end(process: subprocess.Popen[bytes], ended: threading.Event) -> None
 
 
 def _end(process: subprocess.Popen[bytes], ended: threading.Event,
-         temporary: Optional[str], owner: int) -> None:
+         temporary: Optional[pathlib.Path], owner: int) -> None:
     """Not a method, which would keep its object for ever."""
     if os.getpid() != owner:
         return
@@ -226,7 +229,14 @@ def _end(process: subprocess.Popen[bytes], ended: threading.Event,
             ended.wait(_PATIENCE)
         process.stdin.close()
         if temporary is not None:
+            # There is something left where the server was killed.
             shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _new_directory() -> pathlib.Path:
+    """A path that nobody else has: the server makes the directory."""
+    return pathlib.Path(os.path.abspath(tempfile.gettempdir()),
+                        f"revisit-{secrets.token_hex(8)}")
 
 
 def _checked_store(store: Optional[PathLike]) -> Optional[pathlib.Path]:
@@ -256,9 +266,10 @@ def _checked_flags(program: str, settings: Mapping[str, Any]) -> list[str]:
         raise ServerEnded(printed.returncode,
                           printed.stderr.decode(errors="replace")[-_LOG_END:])
     known = _SETTING.findall(printed.stdout.decode(errors="replace"))
-    if _END_WITH_INPUT not in known:
-        raise RuntimeError(f"{program} is too old for this package: it has no setting "
-                           f"{_END_WITH_INPUT}")
+    for name in _OWN:
+        if name not in known:
+            raise RuntimeError(f"{program} is too old for this package: it has no "
+                               f"setting {name}")
     return flags_of({name: _checked_value(name, value, known)
                      for name, value in settings.items()})
 
