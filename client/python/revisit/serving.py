@@ -70,7 +70,8 @@ def serve(store: Optional[PathLike] = None, *, start_deadline: float = 60.0,
     `store` is the directory in which the server keeps what it has: made where it is
     missing, and kept. Without one it has a temporary directory that goes with it. The
     server ends with the client: by leaving `with`, by `close()`, at the end of the
-    program, and also if this process is killed. REVISIT_ variables of the environment are kept from it.
+    program, and also if this process is killed. REVISIT_ variables of the environment
+    are kept from it.
 
     `settings` are those of revisitd, which `revisitd --help` lists, with underscores;
     True and False are "on" and "off". `start_deadline` is how long the start may take
