@@ -16,6 +16,7 @@ import tempfile
 import textwrap
 import threading
 
+import grpc
 import pytest
 
 import revisit
@@ -103,10 +104,14 @@ def test_a_store_is_kept_and_served_again_after_a_change_of_directory(tmp_path,
 
 
 def test_settings_are_keywords(tmp_path):
-    with revisit.serve(max_batch_poses=7, serve_reflection=False, log_level="debug",
+    with revisit.serve(max_batch_poses=7, serve_health=False, serve_reflection=True,
                        audit_log=tmp_path / "audit", slow_call_seconds=0.5) as client:
         assert client.server_info().max_batch_poses == 7
         client.create_vehicle("a")
+        with grpc.insecure_channel(client.address) as channel:
+            with pytest.raises(grpc.RpcError) as raised:
+                channel.unary_unary("/grpc.health.v1.Health/Check")(b"", timeout=LONG)
+        assert raised.value.code() == grpc.StatusCode.UNIMPLEMENTED
     assert (tmp_path / "audit").read_text()
 
 
@@ -264,9 +269,20 @@ def test_ctrl_c_reaches_the_program_before_the_server(tmp_path):
 
 def test_a_fork_neither_uses_nor_ends_the_server():
     with script("""
-            import os, sys
+            import os, sys, threading
             import revisit
             client = revisit.serve()
+            client.create_vehicle("a")
+            stream = client.stream_poses("a")
+            locked, forked = threading.Event(), threading.Event()
+
+            def use():
+                with stream._changed:
+                    locked.set()
+                    forked.wait()
+
+            threading.Thread(target=use).start()
+            locked.wait()
             fork = os.fork()
             if fork == 0:
                 try:
@@ -275,8 +291,8 @@ def test_a_fork_neither_uses_nor_ends_the_server():
                     print(error, flush=True)
                 client.close()
                 sys.exit(3)
-            assert os.waitstatus_to_exitcode(os.waitpid(fork, 0)[1]) == 3
-            client.create_vehicle("a")
+            assert os.waitpid(fork, 0)[1] == 3 << 8
+            forked.set()
             print(client.get_vehicle("a").name, flush=True)
             client.close()
             """) as program:
@@ -351,6 +367,19 @@ def test_calls_that_run_end_with_the_server(in_thread):
         check_ended(raised)
 
 
+def test_another_server_at_its_address_is_not_taken_for_it(tmp_path):
+    with revisit.serve() as client:
+        client.create_vehicle("a")
+        killed(client)
+        wait_until(lambda: is_gone(pid_of(client)), "end of the server")
+        with Server(tmp_path / "store", listen=client.address):
+            for call in (client.server_info, lambda: next(iter(client.watch())),
+                         client.stream_poses("a").finish):
+                with pytest.raises(revisit.ServerEnded) as raised:
+                    call()
+                check_ended(raised)
+
+
 # ---- What is refused
 
 
@@ -403,8 +432,10 @@ def test_a_start_that_takes_too_long_is_given_up(tmp_path, monkeypatch):
     monkeypatch.setenv("REVISIT_SERVER_PROGRAM", program_that(
         f"echo $$ > {tmp_path}/pid; echo still looking >&2; exec sleep 600",
         tmp_path / "slow"))
-    with pytest.raises(TimeoutError, match="start_deadline; its log ends:\nstill look"):
+    with pytest.raises(TimeoutError, match="; its log ends:\nstill look") as raised:
         revisit.serve(start_deadline=2.0)
+    # Whatever holds on to the error, and with it to what was begun.
+    assert raised
     assert is_gone((tmp_path / "pid").read_text().strip())
 
 
@@ -419,8 +450,9 @@ def test_a_start_that_is_interrupted_leaves_nothing(tmp_path, monkeypatch, scrat
         signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
 
     threading.Thread(target=interrupt, daemon=True).start()
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(KeyboardInterrupt) as raised:
         revisit.serve()
+    assert raised
     assert is_gone((tmp_path / "pid").read_text().strip())
     assert list(scratch.iterdir()) == []
 

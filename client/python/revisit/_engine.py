@@ -77,7 +77,6 @@ class Engine:
                 error = self._hold_on(lease, connection)
                 if isinstance(error, Error):
                     self._channels.report(lease, error)
-                    error = self._channels.explained(error)
                 return error
         except Error as error:
             return error

@@ -180,9 +180,7 @@ class ServerProcess:
 
     def close(self) -> None:
         """Ends the server, by force if it takes long, and removes its store if that is
-        temporary. Nothing in a fork, or if it was done before."""
-        if not self.is_ours:
-            return
+        temporary. Nothing if it was done before."""
         with self._lock:
             if self._log_when_closed is not None:
                 return

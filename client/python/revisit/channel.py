@@ -203,7 +203,8 @@ class Channels:
                 self._newest = None
 
     def explained(self, error: Error) -> Error:
-        """The error of a call, or the ServerEnded that is behind it."""
+        """The error of a call that is not made again, or the ServerEnded that is behind
+        it: another attempt would raise that."""
         if self.server is None or self._closed or not _broke_off(error):
             return error
         return self.server.why_ended(END_SECONDS) or error

@@ -286,7 +286,7 @@ class Watch(Iterator[WatchEvent]):
         except Error as error:
             self._connection.report(error)
             self._drop()
-            return self._channels.explained(error)
+            return error
         event = self._state.take(answer)
         if event is None:
             self._keep(answer.cursor)

@@ -86,7 +86,6 @@ class Engine:
                 error = await self._hold_on(lease, connection)
                 if isinstance(error, Error):
                     self._channels.report(lease, error)
-                    error = await self._channels.explain(error)
                 return error
         except Error as error:
             return error

@@ -233,7 +233,7 @@ class Watch(AsyncIterator[WatchEvent]):
         except Error as error:
             self._connection.report(error)
             self._drop()
-            return await self._channels.explain(error)
+            return error
         event = self._state.take(answer)
         if event is None:
             await self._keep(answer.cursor)
