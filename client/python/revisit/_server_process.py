@@ -34,7 +34,7 @@ _TEMPORARY_STORE = "temporary-store"
 _OWN = ("listen", "store", _END_WITH_INPUT, _TEMPORARY_STORE)
 #: What settings begin with that keep a client without TLS and tokens out.
 _CLOSED_TO_US = ("tls-", "token-", "policy")
-_SETTING = re.compile(r"^([a-z-]+) = ", re.MULTILINE)
+_SETTING = re.compile(r"^([\w-]+) = ", re.MULTILINE)
 _ANNOUNCEMENT = re.compile(rb"^listening on (\S+)\n", re.MULTILINE)
 #: How long a server may take to end, in seconds, before it is killed. It cuts the calls
 #: of others after its drain-timeout-seconds.

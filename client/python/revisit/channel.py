@@ -122,11 +122,6 @@ def stub_of(channel: Any) -> Any:
 END_SECONDS = 1.0
 
 
-def _broke_off(error: Error) -> bool:
-    """Whether a connection was lost or could not be made."""
-    return is_cut(error) or (isinstance(error, Unavailable) and not error.reason)
-
-
 class Lease:
     """A channel that is not closed as long as it is used. Counted by the lock of
     the `Channels` that it comes from."""
@@ -173,11 +168,11 @@ class Channels:
     def lease(self) -> Iterator[Lease]:
         """The newest channel, for one call. Cancelled after `close()`; ServerEnded
         after the end of a server that this process runs."""
+        if self.server is not None:
+            self.server.check()
         with self._lock:
             if self._closed:
                 raise Cancelled("the client is closed")
-            if self.server is not None:
-                self.server.check()
             if self._newest is None:
                 self._newest = Lease(self._open(self._made_of))
                 self._leases.append(self._newest)
@@ -193,7 +188,7 @@ class Channels:
     def report(self, lease: Lease, error: Error) -> None:
         """Lets later calls have a new channel if this error, which came on the
         leased one, shows that its connection or its server may have gone."""
-        if not (_broke_off(error) or (
+        if not (is_cut(error) or (
                 isinstance(error, (Unavailable, DeadlineExceeded))
                 and error.reason in ("", "SERVER_DRAINING"))):
             return
@@ -203,9 +198,11 @@ class Channels:
                 self._newest = None
 
     def explained(self, error: Error) -> Error:
-        """The error of a call that is not made again, or the ServerEnded that is behind
-        it: another attempt would raise that."""
-        if self.server is None or self._closed or not _broke_off(error):
+        """The error of a call, or the ServerEnded that is behind it; another attempt
+        would hear of that by `lease()`."""
+        is_broken = is_cut(error) or (isinstance(error, Unavailable)
+                                      and not error.reason)
+        if self.server is None or self._closed or not is_broken:
             return error
         return self.server.why_ended(END_SECONDS) or error
 
