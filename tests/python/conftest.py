@@ -7,6 +7,7 @@ import os
 import pathlib
 import signal
 import sys
+import tempfile
 import threading
 
 import numpy as np
@@ -127,6 +128,17 @@ def in_thread():
     yield start
     for thread in threads:
         thread.join(LONG)
+
+
+@pytest.fixture
+def scratch(tmp_path, monkeypatch):
+    """A folder for temporary files, in which nothing is left."""
+    made = tmp_path / "scratch"
+    made.mkdir()
+    monkeypatch.setenv("TMPDIR", str(made))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    yield made
+    assert list(made.iterdir()) == []
 
 
 @pytest.fixture(scope="session")

@@ -4,15 +4,12 @@ where they cannot be."""
 import asyncio
 import contextlib
 import os
-import pathlib
-import pickle
 import re
 import shutil
 import signal
 import stat
 import subprocess
 import sys
-import tempfile
 import textwrap
 import threading
 
@@ -23,31 +20,10 @@ import revisit
 from conftest import LONG, straight
 from revisit import _server_process, aio
 from revisit_server import BIN, Server, open_files, wait_until
+from served import is_gone, pid_of
 from test_asyncio import in_event_loop, until
 
-
-@pytest.fixture(autouse=True)
-def scratch(tmp_path, monkeypatch):
-    """A folder for temporary files, in which nothing is left."""
-    made = tmp_path / "scratch"
-    made.mkdir()
-    monkeypatch.setenv("TMPDIR", str(made))
-    monkeypatch.setattr(tempfile, "tempdir", None)
-    yield made
-    assert list(made.iterdir()) == []
-
-
-def pid_of(client):
-    return client._server._process.pid
-
-
-def is_gone(pid):
-    """Whether the process has ended; one whose parent has not asked is no more."""
-    try:
-        status = pathlib.Path(f"/proc/{pid}/stat").read_text()
-    except (FileNotFoundError, ProcessLookupError):
-        return True
-    return status.rpartition(")")[2].split()[0] == "Z"
+pytestmark = pytest.mark.usefixtures("scratch")
 
 
 @contextlib.contextmanager
@@ -63,14 +39,6 @@ def script(text, **popen):
         if running.poll() is None:
             running.kill()
         running.communicate(timeout=LONG)
-
-
-SERVING = """
-    import os, signal, sys, threading, time
-    import revisit
-    client = revisit.serve({store!r})
-    print(client._server._process.pid, flush=True)
-"""
 
 
 # ---- What a server of one's own does
@@ -205,7 +173,11 @@ def test_a_stream_keeps_the_server_of_a_client_that_is_forgotten():
 
 
 def test_the_end_of_the_program_ends_the_server(scratch):
-    with script(SERVING.format(store=None)) as program:
+    with script("""
+            import revisit
+            client = revisit.serve()
+            print(client._server._process.pid, flush=True)
+            """) as program:
         pid = int(program.stdout.readline())
         assert program.wait(LONG) == 0
         assert is_gone(pid)
@@ -230,7 +202,8 @@ def test_a_signal_that_ends_the_program_ends_the_server(number, tmp_path, scratc
                 os._exit(0)
             made[1].create_vehicle("b")
             print(*(one._server._process.pid for one in made), fork, flush=True)
-            time.sleep(600)
+            while True:
+                time.sleep(0.1)
             """, cwd=tmp_path) as program:
         *servers, fork = map(int, program.stdout.readline().split())
         assert list(scratch.iterdir())
@@ -251,9 +224,10 @@ def test_ctrl_c_reaches_the_program_before_the_server(tmp_path):
             import revisit
             try:
                 with revisit.serve("store") as client:
-                    print("serving", flush=True)
                     try:
-                        time.sleep(600)
+                        print("serving", flush=True)
+                        while True:
+                            time.sleep(0.1)
                     except KeyboardInterrupt:
                         client.create_vehicle("a")
                         print("created", flush=True)
@@ -301,83 +275,6 @@ def test_a_fork_neither_uses_nor_ends_the_server():
     refused, served = said.splitlines()
     assert "a fork makes one of its own: revisit.Client(" in refused
     assert served == "vehicles/a"
-
-
-# ---- A server that ends by itself
-
-
-def killed(client):
-    os.kill(pid_of(client), signal.SIGKILL)
-
-
-def check_ended(raised):
-    assert raised.value.exit_code == -signal.SIGKILL
-    assert str(raised.value).startswith("revisitd ended with signal 9; its log ends:\n")
-    assert raised.value.log and raised.value.log in raised.value.message
-    copy = pickle.loads(pickle.dumps(raised.value))
-    assert (copy.exit_code, copy.log) == (-signal.SIGKILL, raised.value.log)
-
-
-@pytest.mark.parametrize("call", [
-    lambda client: client.server_info(),
-    lambda client: client.delete_vehicle("a"),
-    lambda client: client.append_poses("a", straight(1))],
-    ids=["safe", "unsafe", "data"])
-def test_calls_after_the_end_of_the_server_say_so(call):
-    with revisit.serve() as client:
-        client.create_vehicle("a")
-        killed(client)
-        for _ in range(2):
-            with pytest.raises(revisit.ServerEnded) as raised:
-                call(client)
-            check_ended(raised)
-
-
-def test_streams_and_watches_end_with_the_server(in_thread):
-    options = revisit.StreamOptions(send_candidates=True)
-    with revisit.serve(default_checks="stored") as client:
-        client.create_vehicle("a")
-        stream = client.stream_poses("a", options)
-        stream.append(straight(5))
-        wait_until(lambda: stream.acked_sequence == 5, "acknowledgement")
-        watching = client.watch()
-        waits = {
-            "watch": in_thread(lambda: next(iter(watching))),
-            "candidates": in_thread(lambda: list(stream.candidates()))}
-        wait_until(lambda: watching.cursor, "open watch")
-        killed(client)
-        for wait in waits.values():
-            with pytest.raises(revisit.ServerEnded) as raised:
-                wait()
-            check_ended(raised)
-        for late in (stream.finish, lambda: stream.append(straight(1, first=6)),
-                     lambda: next(iter(client.watch()))):
-            with pytest.raises(revisit.ServerEnded):
-                late()
-
-
-def test_calls_that_run_end_with_the_server(in_thread):
-    with revisit.serve() as client:
-        client.server_info()
-        os.kill(pid_of(client), signal.SIGSTOP)
-        call = in_thread(lambda: client.create_vehicle("a"))
-        killed(client)
-        with pytest.raises(revisit.ServerEnded) as raised:
-            call()
-        check_ended(raised)
-
-
-def test_another_server_at_its_address_is_not_taken_for_it(tmp_path):
-    with revisit.serve() as client:
-        client.create_vehicle("a")
-        killed(client)
-        wait_until(lambda: is_gone(pid_of(client)), "end of the server")
-        with Server(tmp_path / "store", listen=client.address):
-            for call in (client.server_info, lambda: next(iter(client.watch())),
-                         client.stream_poses("a").finish):
-                with pytest.raises(revisit.ServerEnded) as raised:
-                    call()
-                check_ended(raised)
 
 
 # ---- What is refused
@@ -499,32 +396,6 @@ async def test_for_asyncio_wrong_arguments_are_refused_by_name():
         with pytest.raises(kind, match=next(iter(settings)).split("_")[0]):
             async with aio.serve(**settings):
                 pass
-
-
-@in_event_loop
-async def test_for_asyncio_calls_streams_and_watches_end_with_the_server():
-    async with aio.serve(default_checks="stored") as client:
-        await client.create_vehicle("a")
-        stream = client.stream_poses("a", revisit.StreamOptions(send_candidates=True))
-        await stream.append(straight(5))
-        watching = client.watch()
-
-        async def answers():
-            return [answer async for answer in stream.candidates()]
-
-        async def event():
-            async for event in watching:
-                return event
-
-        waits = [asyncio.create_task(answers()), asyncio.create_task(event())]
-        await until(lambda: stream.acked_sequence == 5 and watching.cursor, "answers")
-        killed(client)
-        # The first is not made again.
-        for wait in (client.delete_vehicle("a"), *waits, client.server_info(),
-                     stream.finish()):
-            with pytest.raises(revisit.ServerEnded) as raised:
-                await wait
-            check_ended(raised)
 
 
 @in_event_loop

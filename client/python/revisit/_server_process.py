@@ -123,7 +123,8 @@ class ServerProcess:
                 if left <= 0.0:
                     raise TimeoutError("revisitd takes no calls after start_deadline; "
                                        f"its log ends:\n{self.log[-_LOG_END:]}")
-                if not poll.poll(left * 1000.0):
+                # Not for long: a signal that comes just before it does not end it.
+                if not poll.poll(min(left, 1.0) * 1000.0):
                     continue
                 part = os.read(output.fileno(), 4096)
                 if not part:
