@@ -101,10 +101,10 @@ class ServerProcess:
                                          self.store if kept is None else None,
                                          self._owner)
             failed.pop_all()
-        threading.Thread(target=_await_end, args=(self._process, self._ended),
-                         daemon=True, name="revisit server").start()
-        _running.add(self)
         try:
+            threading.Thread(target=_await_end, args=(self._process, self._ended),
+                             daemon=True, name="revisit server").start()
+            _running.add(self)
             #: HOST:PORT.
             self.address = self._read_address(time.monotonic() + start_deadline)
         except BaseException:
