@@ -11,6 +11,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/base/build_info.h"
 #include "revisit/v1/pose_graph_service.grpc.pb.h"
 #include "server/admin/admin_port.h"
 #include "server/admin/health.h"
@@ -271,7 +272,7 @@ bool RevisitServer::State::Announce(StartError* error) {
               {"admin_address",
                parts->admin ? parts->admin->address() : std::string()},
               {"store", store.name},
-              {"version", REVISIT_VERSION}});
+              {"version", kVersion}});
   return true;
 }
 

@@ -94,7 +94,8 @@ void AddCommands(const Command& program, const ConnectionFlags* connection,
   AddHealthCommand(program);
   AddCompletionCommand(program, usage);
   AddHelpCommand(program, usage);
-  AddManPagesCommand(program, usage, {kBuildDate, "revisit " REVISIT_VERSION});
+  AddManPagesCommand(program, usage,
+                     {kBuildDate, std::string("revisit ") + kVersion});
 }
 
 absl::Status RunWithServer(const Run& run, const ChosenServer& server,

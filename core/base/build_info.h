@@ -4,7 +4,10 @@
 
 namespace revisit {
 
-// Version, commit and date, such as "0.1.0 (commit 82b9556ac0, built
+// That of the CMake project, such as "1.2.3".
+extern const char kVersion[];
+
+// Version, commit and date, such as "1.2.3 (commit 82b9556ac0, built
 // 2026-11-22)". Without the commit where it is not known, as in a tree without
 // its history.
 extern const char kVersionText[];

@@ -1,5 +1,5 @@
 # Writes what core/base/build_info.h declares, if it has changed:
-#   cmake -D VERSION=0.1.0 -D SOURCE=tree -D OUTPUT=file -P write_build_info.cmake
+#   cmake -D VERSION=1.2.3 -D SOURCE=tree -D OUTPUT=file -P write_build_info.cmake
 # The date is today's, or that of SOURCE_DATE_EPOCH.
 
 # An archive that git made has the commit here.
@@ -26,19 +26,5 @@ if(commit)
 endif()
 
 string(TIMESTAMP date "%Y-%m-%d" UTC)
-set(text "#include \"core/base/build_info.h\"
-
-namespace revisit {
-
-const char kVersionText[] = \"${VERSION} (${commit}built ${date})\";
-const char kBuildDate[] = \"${date}\";
-
-}  // namespace revisit
-")
-set(old "")
-if(EXISTS ${OUTPUT})
-  file(READ ${OUTPUT} old)
-endif()
-if(NOT old STREQUAL text)
-  file(WRITE ${OUTPUT} "${text}")
-endif()
+# Leaves a file as it is that says the same.
+configure_file(${CMAKE_CURRENT_LIST_DIR}/build_info.cc.in ${OUTPUT} @ONLY)

@@ -1,5 +1,6 @@
 #include "server/service/server_info.h"
 
+#include "core/base/build_info.h"
 #include "server/conversion/answers.h"
 #include "server/sessions/fleet.h"
 #include "server/storage/storage.h"
@@ -20,7 +21,7 @@ absl::Status GetServerInfo(const ServiceContext& service,
                            const UnaryCallPtr& call,
                            const v1::GetServerInfoRequest&,
                            v1::GetServerInfoResponse* response) {
-  response->set_version(REVISIT_VERSION);
+  response->set_version(kVersion);
   EncodeDurability(service.storage->GetDurability(), response);
   response->set_store_format(kStoreFormat);
   response->set_max_batch_poses(service.limits.max_batch_poses);

@@ -67,7 +67,7 @@ double StartTime() {
 
 void CollectProcessMetrics(Metrics* metrics) {
   metrics->Gauge("revisit_build_info", "The build that runs; always 1.")
-      .Add(1, {{"version", REVISIT_VERSION}, {"build", kVersionText}});
+      .Add(1, {{"version", kVersion}, {"build", kVersionText}});
   static const double start = StartTime();
   metrics
       ->Gauge("process_start_time_seconds",

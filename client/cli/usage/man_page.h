@@ -19,7 +19,7 @@ struct ManPage {
 struct ManPageFoot {
   // YYYY-MM-DD.
   std::string date;
-  // Such as "revisit 0.1.0".
+  // Such as "revisit 1.2.3".
   std::string version;
 };
 

@@ -7,6 +7,8 @@
 #include <utility>
 #include <vector>
 
+#include "absl/strings/str_cat.h"
+#include "core/base/build_info.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "tests/server/temporary_directory.h"
@@ -371,7 +373,7 @@ TEST_F(SettingsTest, VersionIsPrinted) {
   const auto parsed = ParseSettings({"--version"}, {});
   ASSERT_TRUE(parsed.ok()) << parsed.status();
   EXPECT_THAT(parsed->print.value_or(""),
-              StartsWith("revisitd " REVISIT_VERSION " ("));
+              StartsWith(absl::StrCat("revisitd ", kVersion, " (")));
 }
 
 }  // namespace
