@@ -64,6 +64,11 @@ CLAIMS = [
     *claims("client/python/README.md",
             ("pip install", "tests/python/run", (
                 "install './client/python[rosbag,pandas,parquet,notebook]'",))),
+    *claims("deploy/wheels/server/README.md",
+            ("pip install ./revisit_server-*.whl", "tests/wheels/test_installed.py", (
+                'other.pip("install", "--no-deps", *BOTH)',)),
+            ("revisit demo", "tests/wheels/test_installed.py", (
+                '"revisit", "demo"',))),
     *claims("docs/command-line.md",
             ("cmake --preset release", "deploy/image/Containerfile", (
                 "cmake --preset release -D BUILD_TESTING=OFF",)),

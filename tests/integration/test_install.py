@@ -83,7 +83,8 @@ def test_program_outside_of_the_tree_is_built_against_the_library(
     version = re.search(r"^project\(revisit VERSION (\d+\.\d+)",
                         (ROOT / "CMakeLists.txt").read_text(), re.MULTILINE)[1]
     do("cmake", "-S", ROOT / "tests/install", "-B", tmp_path,
-       f"-DVERSION={version}", f"-DCMAKE_PREFIX_PATH={prefix}", "-DCMAKE_BUILD_TYPE=Debug")
+       f"-DVERSION={version}", f"-DCMAKE_PREFIX_PATH={prefix}",
+       "-DCMAKE_BUILD_TYPE=Debug")
     do("cmake", "--build", tmp_path)
     assert do(tmp_path / "example", server.address, "outsider") == "10\n"
 
