@@ -16,11 +16,11 @@ PACKAGES = ("revisit", "revisit-server")
 BOTH = (SERVER, f"{CLIENT}[server]")
 
 
-def first_lines_of_readme():
-    """The first lines of Python in the README of the client, which need nothing but
-    both packages."""
-    return re.search(r"^```python\n(.*?)^```", (
-        ROOT / "client/python/README.md").read_text(), re.DOTALL | re.MULTILINE)[1]
+#: The first lines of Python in the README of the client, which need nothing but both
+#: packages, and what they print.
+LINES, PRINTED = re.search(
+    r"^```python\n(.*?)^```\n\n```\n(.*?)^```", (
+        ROOT / "client/python/README.md").read_text(), re.DOTALL | re.MULTILINE).groups()
 
 
 class Environment:
@@ -63,8 +63,7 @@ def test_the_demo_finds_its_server_and_its_drive(environment):
 
 
 def test_the_first_lines_of_the_readme_run(environment):
-    assert "shuttle-7" in first_lines_of_readme()
-    assert environment.run("python", "-c", first_lines_of_readme()).strip()
+    assert environment.run("python", "-c", LINES) == PRINTED
 
 
 @pytest.mark.parametrize("program", ["revisit", "revisitd"])
@@ -122,7 +121,7 @@ BARE = textwrap.dedent("""\
 def test_they_are_all_that_a_system_with_python_needs(release, tmp_path):
     for wheel in (SERVER, CLIENT):
         shutil.copy(wheel, tmp_path)
-    (tmp_path / "lines.py").write_text(first_lines_of_readme())
+    (tmp_path / "lines.py").write_text(LINES)
     shutil.rmtree(ROOTS / release / "user", ignore_errors=True)
     told = do(ROOT / "tests/bare-root", "run", ROOTS / release, "user", "--bind",
               tmp_path, "/root/wheels",
@@ -133,5 +132,5 @@ def test_they_are_all_that_a_system_with_python_needs(release, tmp_path):
     assert re.fullmatch(rf"revisit {VERSION} \(.*\)\nrevisitd {VERSION} \(.*\)\n",
                         programs)
     assert "recall" in demo
-    assert lines.strip()
+    assert lines == PRINTED
     assert left == ""
