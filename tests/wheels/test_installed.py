@@ -19,8 +19,8 @@ BOTH = (SERVER, f"{CLIENT}[server]")
 #: The first lines of Python in the README of the client, which need nothing but both
 #: packages, and what they print.
 LINES, PRINTED = re.search(
-    r"^```python\n(.*?)^```\n\n```\n(.*?)^```", (
-        ROOT / "client/python/README.md").read_text(), re.DOTALL | re.MULTILINE).groups()
+    r"^```python\n(.*?)^```\n\n```\n(.*?)^```",
+    (ROOT / "client/python/README.md").read_text(), re.DOTALL | re.MULTILINE).groups()
 
 
 class Environment:
