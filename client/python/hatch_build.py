@@ -218,8 +218,6 @@ class CustomBuildHook(BuildHookInterface):  # type: ignore[type-arg]
         drive = {name: str(_find(root, name)) for name in DRIVE}
         include = build_data["force_include"]
         if self.target_name == "sdist":
-            # hatchling takes it along where there is a history, and only there.
-            include[str(_find(root, ".gitignore"))] = ".gitignore"
             include[str(protos / "revisit")] = "proto/revisit"
             include[str(licence)] = "LICENSE"
             include.update({path: name for name, path in drive.items()})
