@@ -24,8 +24,8 @@ def metadata(wheel):
         return email.message_from_bytes(archive.read(name))
 
 
-def build(*arguments, tree=ROOT, **environment):
-    return run(tree / "deploy/wheels/build", *arguments, cwd=tree,
+def build(*arguments, tree=ROOT, umask=-1, **environment):
+    return run(tree / "deploy/wheels/build", *arguments, cwd=tree, umask=umask,
                env={**os.environ, **environment})
 
 
@@ -112,7 +112,8 @@ def test_two_builds_give_the_same_bytes(tmp_path):
     (tree / "build/wheels-venv").symlink_to(ROOT / "build/wheels-venv")
     with tarfile.open(SOURCES) as archive:
         time = archive.next().mtime
-    again = build("--programs", PROGRAMS, tree=tree, SOURCE_DATE_EPOCH=str(time),
+    again = build("--programs", PROGRAMS, tree=tree, umask=0o077,
+                  SOURCE_DATE_EPOCH=str(time),
                   TZ="Pacific/Auckland", LC_ALL="C", PYTHONHASHSEED="7")
     assert again.returncode == 0, again.stderr
     for name, digest in digests(tree / "build/wheels").items():
