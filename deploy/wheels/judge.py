@@ -60,11 +60,11 @@ def newer_symbols(program: ELFFile, policy: Policy) -> dict[str, list[str]]:
         return found    # A program without shared libraries.
     newer = {}
     for library, wanted in needs.iter_versions():
-        for version in wanted:
-            base, _, number = version.name.partition("_")
+        for need in wanted:
+            base, _, number = need.name.partition("_")
             # The policies do not name what they do not bound.
             if number not in policy.symbol_versions.get(base, [number]):
-                newer[version.entry.vna_other] = f"{library.name} {version.name}"
+                newer[need.entry.vna_other] = f"{library.name} {need.name}"
     for version, symbol in zip(versions.iter_symbols(), symbols.iter_symbols()):
         if version.entry.ndx in newer:
             found[newer[version.entry.ndx]].append(symbol.name)

@@ -235,6 +235,11 @@ def test_the_package_is_typed_strictly():
     assert checked.returncode == 0, checked.stdout
 
 
+def test_the_package_of_the_programs_is_typed_strictly_too():
+    checked = mypy(ROOT / "deploy/wheels/server/revisit_server")
+    assert checked.returncode == 0, checked.stdout
+
+
 def test_its_users_are_checked_by_its_types(tmp_path):
     (tmp_path / "good.py").write_text(WELL_TYPED)
     (tmp_path / "bad.py").write_text(BADLY_TYPED)
