@@ -25,6 +25,9 @@ configure_file(${drive}/boreas_glen_shields.csv
 
 # Manual pages and completion, which the programs write of themselves.
 set(usage ${CMAKE_CURRENT_BINARY_DIR}/usage)
+# CMake has an emulator run the programs of another machine where it sees that they are
+# called; here one of its scripts calls it.
+set(call_revisitd ${CMAKE_CROSSCOMPILING_EMULATOR} $<TARGET_FILE:revisitd>)
 set(completion)
 foreach(shell IN ITEMS bash zsh fish)
   list(APPEND completion COMMAND revisit completion ${shell}
@@ -41,7 +44,7 @@ add_custom_command(
   COMMAND ${CMAKE_COMMAND} -D NAME=revisitd
           -D "ABOUT=keeps pose graphs and answers loop-closure candidates"
           -D "SYNOPSIS=[OPTIONS] [SUBCOMMAND]"
-          -D PROGRAM=$<TARGET_FILE:revisitd>
+          -D "PROGRAM=${call_revisitd}"
           -D OUTPUT=${usage}/man/revisitd.1
           -P ${PROJECT_SOURCE_DIR}/server/settings/write_man_page.cmake
   DEPENDS revisit revisitd

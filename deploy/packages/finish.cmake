@@ -29,10 +29,10 @@ endforeach()
 set(programs
     ${CPACK_TEMPORARY_INSTALL_DIRECTORY}/client/usr/bin/revisit
     ${CPACK_TEMPORARY_INSTALL_DIRECTORY}/server/usr/bin/revisitd)
-execute_process(COMMAND strip --remove-section=.comment --remove-section=.note
+execute_process(COMMAND ${CPACK_REVISIT_STRIP} --remove-section=.comment --remove-section=.note
                         ${programs} COMMAND_ERROR_IS_FATAL ANY)
 file(GLOB_RECURSE libraries ${CPACK_TEMPORARY_INSTALL_DIRECTORY}/dev/*.a)
-execute_process(COMMAND strip --strip-debug --remove-section=.comment
+execute_process(COMMAND ${CPACK_REVISIT_STRIP} --strip-debug --remove-section=.comment
                         --remove-section=.note --enable-deterministic-archives
                         ${libraries} COMMAND_ERROR_IS_FATAL ANY)
 

@@ -61,18 +61,25 @@ set(CPACK_INSTALL_DEFAULT_DIRECTORY_PERMISSIONS
 # Programs, pages and changelogs as Debian has them.
 set(CPACK_PRE_BUILD_SCRIPTS ${packages}/finish.cmake)
 set(CPACK_REVISIT_SOURCE ${PROJECT_SOURCE_DIR})
+# The one for what the compiler makes.
+set(CPACK_REVISIT_STRIP ${CMAKE_STRIP})
 
 set(CPACK_DEBIAN_FILE_NAME DEB-DEFAULT)
-# Packages are for the system that they are built on, whose libraries they depend on:
-# 12 and bookworm, say.
-cmake_host_system_information(
-  RESULT system QUERY DISTRIB_ID DISTRIB_VERSION_ID DISTRIB_VERSION_CODENAME)
-list(GET system 0 system_id)
-list(GET system 1 system_version)
-list(GET system 2 CPACK_REVISIT_DISTRIBUTION)
+# Packages are for the system whose libraries they were linked with, on which they
+# depend: 12 and bookworm, say.
+file(STRINGS ${CMAKE_SYSROOT}/etc/os-release system REGEX "^(ID|VERSION_ID|VERSION_CODENAME)=")
+foreach(line IN LISTS system)
+  string(REGEX MATCH "^([A-Z_]+)=\"?([^\"]*)" line "${line}")
+  set(system_${CMAKE_MATCH_1} ${CMAKE_MATCH_2})
+endforeach()
+set(CPACK_REVISIT_DISTRIBUTION ${system_VERSION_CODENAME})
+if(CMAKE_CROSSCOMPILING)
+  # CPack asks dpkg for this machine's.
+  set(CPACK_DEBIAN_PACKAGE_ARCHITECTURE arm64)
+endif()
 set(system_revision 1)
-if(system_id STREQUAL debian)
-  set(system_revision 1~deb${system_version})
+if(system_ID STREQUAL debian)
+  set(system_revision 1~deb${system_VERSION_ID})
 endif()
 # Packages of a commit behind the release need a revision above it, such as
 # 1~deb12+20261123, so that they count as newer.

@@ -62,6 +62,10 @@ HWY_INLINE void AddPivot(Tag tag, Vector diagonal, Vector pivot, Vector solved,
 // Differences and their covariances, in the order of the state.
 template <int D>
 struct State {
+  // It leaves the vectors as they are. A constructor that the compiler makes by itself lacks
+  // the attributes of the instruction set.
+  HWY_INLINE State() {}  // NOLINT(modernize-use-equals-default)
+
   Vector difference[D];
   // (r, c) with c <= r.
   Vector covariance[D][D];
@@ -222,6 +226,8 @@ HWY_INLINE State<D> FindState(const KernelQuery& query, const Rows& rows,
 
 // The results of Evaluate().
 struct Terms {
+  HWY_INLINE Terms() {}  // NOLINT(modernize-use-equals-default): as for State.
+
   Mask possible;
   Vector log_determinant;
   Vector squared;
