@@ -94,7 +94,7 @@ def files_of(version: str, architectures: list[str]) -> list[pathlib.Path]:
             ("build/wheels", f"revisit_server-{version}-*-manylinux_*_{arch}.whl",
              f"deploy/wheels/build --arch {arch}"),
             ("build/portable", f"revisit-{version}-linux-{arch}.tar.gz",
-             f"deploy/portable --arch {arch}")]
+             f"deploy/portable/build --arch {arch}")]
     # Those of one architecture, that of the machine, on which they are built.
     wanted += [("build/release/packages", f"{name}_{version}-*.deb", "cpack")
                for name in ("revisit", "revisit-server", "librevisit-dev")]

@@ -18,6 +18,23 @@
 
 #include "core/base/mutex.h"
 
+// How this program's own function stands before one of OpenSSL, and calls that. It has the
+// same name where OpenSSL is a shared library, and the dynamic linker finds it first. Where
+// OpenSSL is linked from its archive, there can be only one of a name: --wrap=NAME has the
+// linker send calls of NAME to __wrap_NAME, and those of __real_NAME to OpenSSL.
+#ifdef REVISIT_OPENSSL_ARCHIVE
+#define REVISIT_REPLACEMENT(name) __wrap_##name
+#define REVISIT_ORIGINAL(name) (&__real_##name)
+// NOLINTBEGIN(bugprone-reserved-identifier): the linker's names.
+extern "C" SSL* __real_SSL_new(SSL_CTX* context);
+extern "C" int __real_SSL_read(SSL* ssl, void* buffer, int size);
+// NOLINTEND(bugprone-reserved-identifier)
+#else
+#define REVISIT_REPLACEMENT(name) name
+#define REVISIT_ORIGINAL(name) \
+  (reinterpret_cast<decltype(&(name))>(dlsym(RTLD_NEXT, #name)))
+#endif
+
 namespace revisit::server {
 namespace {
 
@@ -123,14 +140,8 @@ int MeterIndex() {
   return index;
 }
 
-// The function that this program's own one stands before.
-template <typename Function>
-Function* Original(const char* name) {
-  return reinterpret_cast<Function*>(dlsym(RTLD_NEXT, name));
-}
-
 SSL* NewMetered(SSL_CTX* context) {
-  static auto* const original = Original<SSL*(SSL_CTX*)>("SSL_new");
+  static auto* const original = REVISIT_ORIGINAL(SSL_new);
   SSL* const ssl = original(context);
   if (ssl == nullptr || tls_begins_here == nullptr) return ssl;
   auto* const meter = new MeterPointer(tls_begins_here);
@@ -139,7 +150,7 @@ SSL* NewMetered(SSL_CTX* context) {
 }
 
 int ReadMeteredTls(SSL* ssl, void* buffer, int size) {
-  static auto* const original = Original<int(SSL*, void*, int)>("SSL_read");
+  static auto* const original = REVISIT_ORIGINAL(SSL_read);
   const auto* const attached =
       static_cast<const MeterPointer*>(SSL_get_ex_data(ssl, MeterIndex()));
   if (attached == nullptr) return original(ssl, buffer, size);
@@ -194,9 +205,11 @@ ssize_t recvmsg(int descriptor, msghdr* message, int flags) {
   return revisit::server::ReadMetered(descriptor, message, flags);
 }
 
-SSL* SSL_new(SSL_CTX* context) { return revisit::server::NewMetered(context); }
+SSL* REVISIT_REPLACEMENT(SSL_new)(SSL_CTX* context) {
+  return revisit::server::NewMetered(context);
+}
 
-int SSL_read(SSL* ssl, void* buffer, int size) {
+int REVISIT_REPLACEMENT(SSL_read)(SSL* ssl, void* buffer, int size) {
   return revisit::server::ReadMeteredTls(ssl, buffer, size);
 }
 }

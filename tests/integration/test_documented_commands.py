@@ -124,8 +124,8 @@ CLAIMS = [
             ("revisit-venv/bin/revisit demo", "tests/wheels/test_installed.py", (
                 "revisit demo",))),
     *claims("docs/release.md",
-            ("deploy/portable", "tests/wheels/run", (
-                'deploy/portable --arch "$arch"',)),
+            ("deploy/portable/build", "tests/wheels/run", (
+                'deploy/portable/build --arch "$arch"',)),
             ("deploy/wheels/build", "tests/wheels/run", (
                 'deploy/wheels/build --arch "$arch"',)),
             ("tests/wheels/run", ".ci/run", ("where_possible tests/wheels/run",)),

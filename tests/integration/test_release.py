@@ -207,7 +207,7 @@ def test_what_is_missing_is_named_with_its_command_and_nothing_is_written(tree):
         f"release: build/wheels/revisit_server-{VERSION}-*-manylinux_*_aarch64.whl is "
         "missing: deploy/wheels/build --arch aarch64 makes it",
         f"release: build/portable/revisit-{VERSION}-linux-aarch64.tar.gz is missing: "
-        "deploy/portable --arch aarch64 makes it",
+        "deploy/portable/build --arch aarch64 makes it",
         f"release: build/release/packages/librevisit-dev_{VERSION}-*.deb is missing: "
         "cpack makes it"]
     assert contents(place) == before
