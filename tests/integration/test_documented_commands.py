@@ -91,7 +91,11 @@ CLAIMS = [
                 '"apt-get", "install"',)),
             ("revisit demo", "tests/packages/test_packages.py", (
                 "revisit demo",)),
-            ("podman build", "tests/image/run", (
+            ("deploy/arm64/packages", "tests/arm64/run", (
+                "deploy/arm64/packages\n",)),
+            ("podman build --platform", "tests/arm64/test_image.py", (
+                '"--platform", "linux/arm64", "--build-arg", "PACKAGES=made"',)),
+            ("podman build --file", "tests/image/run", (
                 "deploy/image/Containerfile", "--tag", "build")),
             ("podman run", "tests/image/test_image.py", (
                 '"--read-only", "--tmpfs=/tmp"', ":/var/lib/revisit",
@@ -122,13 +126,26 @@ CLAIMS = [
             ("revisit-venv/bin/pip", "tests/wheels/test_installed.py", (
                 "pip install --quiet /root/wheels/{server}",)),
             ("revisit-venv/bin/revisit demo", "tests/wheels/test_installed.py", (
-                "revisit demo",))),
+                "revisit demo",)),
+            ("tar xzf", "tests/portable/test_archive.py", (
+                "tar xzf /media/{ARCHIVE.name}",)),
+            ("revisit-VERSION-linux-ARCH/bin/revisit demo",
+             "tests/portable/test_archive.py", ("bin/revisit demo",)),
+            ("sudo tar", "tests/portable/test_archive.py", (
+                'COMMANDS["sudo tar"]',)),
+            ("sudo rm", "tests/portable/test_archive.py", ('COMMANDS["sudo rm"]',)),
+            ("sudo useradd", "tests/portable/test_service.py", (
+                "in service_commands()",)),
+            ("sudo systemctl", "tests/portable/test_service.py", (
+                "in service_commands()",))),
     *claims("docs/release.md",
             ("deploy/portable/build", "tests/wheels/run", (
                 'deploy/portable/build --arch "$arch"',)),
             ("deploy/wheels/build", "tests/wheels/run", (
                 'deploy/wheels/build --arch "$arch"',)),
+            ("tests/portable/run", ".ci/run", ("where_possible tests/portable/run",)),
             ("tests/wheels/run", ".ci/run", ("where_possible tests/wheels/run",)),
+            ("tests/arm64/run", ".ci/run", ("where_possible tests/arm64/run",)),
             ("deploy/release", "tests/integration/test_release.py", (
                 '"deploy/release.py", "gather"',))),
     *claims("docs/performance.md",

@@ -20,11 +20,18 @@ NAME = f"revisit-{VERSION}-linux-{ARCH}"
 ARCHIVE = ROOT / f"build/portable/{NAME}.tar.gz"
 #: Seconds that nothing here takes, on however busy a machine.
 LONG = 600
-#: The commands of docs/install.md that unpack and remove an archive.
-COMMANDS = dict(re.findall(
-    r"^(sudo tar|sudo rm)( .*?[^\\])$",
-    (ROOT / "docs/install.md").read_text().split("## The archive\n")[1],
-    re.MULTILINE | re.DOTALL))
+#: What docs/install.md says of the archive.
+DOCUMENT = (ROOT / "docs/install.md").read_text().split("## The archive\n")[1]
+#: Its commands that unpack and remove an archive.
+COMMANDS = dict(re.findall(r"^(sudo tar|sudo rm)( .*?[^\\])$", DOCUMENT,
+                           re.MULTILINE | re.DOTALL))
+
+
+def service_commands():
+    """Its commands that start the service, for one who is root already."""
+    lines = re.findall(r"^sudo ((?:useradd|systemctl) .*)", DOCUMENT, re.MULTILINE)
+    assert [line.split()[0] for line in lines] == ["useradd", "systemctl", "systemctl"]
+    return lines
 
 
 def do(*command):
