@@ -274,7 +274,8 @@ def known_flags(flags_of_revisit):
                    ROOT / "tests/tidy", ROOT / "tests/lint", ROOT / "deploy/console",
                    ROOT / "client/console/server/options.ts",
                    ROOT / "deploy/demo", ROOT / "deploy/cluster/demo",
-                   ROOT / "deploy/release", ROOT / "deploy/wheels/build"]:
+                   ROOT / "deploy/release", ROOT / "deploy/portable/build",
+                   ROOT / "deploy/wheels/build"]:
         known |= flags_in(script.read_text())
     for task in ("backup", "verify", "compact", "migrate", "import"):
         known |= flags_in(help_of("revisitd", task))

@@ -86,24 +86,25 @@ def test_the_archive_has_what_its_document_says(names):
             "share/revisit/demo/boreas_glen_shields.csv", "share/revisit/demo/NOTICE",
             "share/revisit/proto/revisit/v1/pose_graph_service.proto",
             "share/doc/revisit/LICENSE", "share/doc/revisit/docs/install.md",
-            "share/doc/revisit/third-party/VERSIONS"} <= names
+            "share/doc/revisit/docs/pictures/gate.svg"} <= names
 
 
 def test_every_library_in_the_programs_has_its_licence(names):
-    licences = {pathlib.Path(name).name for name in names
-                if "/third-party/" in name}
+    licences = dict(re.fullmatch(r"(.+?)-\d.*", pathlib.Path(name).name).group(1, 0)
+                    for name in names if "/third-party/" in name)
     for package in ("libgrpc++-dev", "libprotobuf-dev", "libabsl-dev", "libssl-dev",
                     "libpq-dev", "libsqlite3-dev", "libhwy-dev", "prometheus-cpp-dev",
                     "libcivetweb-dev", "libspdlog-dev", "libfmt-dev", "libre2-dev",
                     "libc-ares-dev", "libzstd-dev", "zlib1g-dev", "libexpat1-dev",
                     "libxxhash-dev", "libgeographiclib-dev", "libeigen3-dev",
                     "libboost-math-dev", "libcli11-dev", "nlohmann-json3-dev",
-                    "libstdc++-12-dev"):
+                    "libstdc++"):
         assert package in licences
-        with tarfile.open(ARCHIVE) as archive:
+    with tarfile.open(ARCHIVE) as archive:
+        for name in licences.values():
             text = archive.extractfile(
-                f"{NAME}/share/doc/revisit/third-party/{package}").read()
-        assert re.search(b"licen[cs]e", text, re.IGNORECASE), package
+                f"{NAME}/share/doc/revisit/third-party/{name}").read()
+            assert re.search(b"licen[cs]e", text, re.IGNORECASE), name
 
 
 def test_links_between_the_documents_lead_somewhere(names):
