@@ -37,8 +37,10 @@ inline std::vector<core::Pose> TownDrive(std::mt19937_64& random,
   const auto crossing = [side, &random] {
     std::vector<Eigen::Vector2d> at;
     for (int i = 0; i < side * side; ++i) {
-      at.emplace_back(100.0 * (i % side) + Uniform(random, -25.0, 25.0),
-                      100.0 * (i / side) + Uniform(random, -25.0, 25.0));
+      // Each by itself: compilers do not agree in which order arguments come.
+      const double up = Uniform(random, -25.0, 25.0);
+      const double along = Uniform(random, -25.0, 25.0);
+      at.emplace_back(100.0 * (i % side) + along, 100.0 * (i / side) + up);
     }
     return at;
   }();
