@@ -19,8 +19,10 @@ LONG = 1800
 everything = pytest.mark.skipif(not os.environ["REVISIT_ARM64_ALL"],
                                 reason="tests/arm64/run --all has it")
 #: Cores with 128 bits of NEON, without and with vectors of SVE of several lengths.
-PROCESSORS = ["cortex-a53", "cortex-a72", "max,sve128=on,sve256=off,sve512=off",
-              "max,sve256=on,sve512=off", "max,sve512=on"]
+PROCESSORS = [
+    "cortex-a72", "max,sve256=on,sve512=off",
+    *(pytest.param(processor, marks=everything) for processor in (
+        "cortex-a53", "max,sve128=on,sve256=off,sve512=off", "max,sve512=on"))]
 
 
 def do(*command, **options):
@@ -71,7 +73,8 @@ def test_programs_are_of_arm64(program):
 
 @pytest.mark.parametrize("processor", PROCESSORS)
 def test_kernels_agree_with_their_oracles(processor):
-    shown = core_test(processor, "--gtest_filter=*Kernel*:*Viterbi*:*ShapeFilter*")
+    shown = core_test(processor, "--gtest_filter=*Kernel*:WalkOn*:AlignTest*:"
+                      "LogSimilarity*:HeadingMatchTest.NoPath*")
     assert re.search(r"^\[  PASSED  \] [1-9]\d* tests", shown, re.MULTILINE), shown
 
 
@@ -85,7 +88,7 @@ def test_packages_depend_on_the_libraries_of_arm64s_debian():
     for name in ("revisit", "revisit-server"):
         [package] = PACKAGES.glob(f"{name}_*_arm64.deb")
         fields = do("dpkg-deb", "--field", package)
-        assert "\nArchitecture: arm64\n" in fields
+        assert re.search("^Architecture: arm64$", fields, re.MULTILINE), fields
         assert "libgrpc++1.51" in fields
 
 
