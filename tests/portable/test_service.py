@@ -29,5 +29,5 @@ def test_the_service_starts_with_the_commands_of_the_document(machine):
     for command in service_commands():
         machine.run("sh", "-euc", command)
     assert machine.show("ActiveState") == "active"
-    assert "SERVING" in machine.run("revisit", "health")
+    assert "SERVING" in machine.run("/usr/local/bin/revisit", "health")
     assert machine.run("stat", "--format=%U", "/var/lib/revisit").strip() == "revisit"
