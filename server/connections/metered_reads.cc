@@ -18,10 +18,11 @@
 
 #include "core/base/mutex.h"
 
-// How this program's own function stands before one of OpenSSL, and calls that. It has the
-// same name where OpenSSL is a shared library, and the dynamic linker finds it first. Where
-// OpenSSL is linked from its archive, there can be only one of a name: --wrap=NAME has the
-// linker send calls of NAME to __wrap_NAME, and those of __real_NAME to OpenSSL.
+// How this program's own function stands before one of OpenSSL, and calls that.
+// It has the same name where OpenSSL is a shared library, and the dynamic
+// linker finds it first. Where OpenSSL is linked from its archive, there can be
+// only one of a name: --wrap=NAME has the linker send calls of NAME to
+// __wrap_NAME, and those of __real_NAME to OpenSSL.
 #ifdef REVISIT_OPENSSL_ARCHIVE
 #define REVISIT_REPLACEMENT(name) __wrap_##name
 #define REVISIT_ORIGINAL(name) (&__real_##name)

@@ -62,8 +62,8 @@ HWY_INLINE void AddPivot(Tag tag, Vector diagonal, Vector pivot, Vector solved,
 // Differences and their covariances, in the order of the state.
 template <int D>
 struct State {
-  // It leaves the vectors as they are. A constructor that the compiler makes by itself lacks
-  // the attributes of the instruction set.
+  // It leaves the vectors as they are. A constructor that the compiler makes by
+  // itself lacks the attributes of the instruction set.
   HWY_INLINE State() {}  // NOLINT(modernize-use-equals-default)
 
   Vector difference[D];
