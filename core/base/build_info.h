@@ -4,7 +4,7 @@
 
 namespace revisit {
 
-// That of the CMake project, such as "1.2.3".
+// The version is that of the CMake project, such as "1.2.3".
 extern const char kVersion[];
 
 // Version, commit and date, such as "1.2.3 (commit 82b9556ac0, built

@@ -1,5 +1,6 @@
 """A Debian 12 machine for one test, which systemd has booted."""
 
+import contextlib
 import os
 import pathlib
 import shutil
@@ -7,6 +8,8 @@ import signal
 import subprocess
 import tempfile
 import time
+
+import pytest
 
 BASE = pathlib.Path(os.environ["REVISIT_BASE"])
 
@@ -137,3 +140,14 @@ class Machine:
 
     def __exit__(self, *_):
         self.close()
+
+
+@contextlib.contextmanager
+def booted_machine():
+    """A machine for a test, which is skipped where none can boot."""
+    try:
+        made = Machine()
+    except CannotBoot as problem:
+        pytest.skip(f"systemd cannot boot here: {problem}")
+    with made:
+        yield made

@@ -9,7 +9,7 @@ import subprocess
 
 import pytest
 
-from machine import CannotBoot, Machine, wait_until
+from machine import booted_machine, wait_until
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 PACKAGES = pathlib.Path(os.environ["REVISIT_PACKAGES"])
@@ -32,11 +32,7 @@ BOTH = ("revisit", "revisit-server")
 
 @pytest.fixture
 def machine():
-    try:
-        made = Machine()
-    except CannotBoot as problem:
-        pytest.skip(f"systemd cannot boot here: {problem}")
-    with made:
+    with booted_machine() as made:
         yield made
 
 

@@ -9,17 +9,13 @@ from test_archive import ARCHIVE, COMMANDS, NAME, service_commands
 if "REVISIT_BASE" not in os.environ:
     pytest.skip("tests/portable/run could make no machine with systemd",
                 allow_module_level=True)
-from machine import CannotBoot, Machine
+from machine import booted_machine
 
 
 @pytest.fixture
 def machine():
-    try:
-        booted = Machine()
-    except CannotBoot as error:
-        pytest.skip(f"systemd does not come up here: {error}")
-    with booted:
-        yield booted
+    with booted_machine() as made:
+        yield made
 
 
 def test_the_service_starts_with_the_commands_of_the_document(machine):
