@@ -5,6 +5,7 @@
 #include <iostream>
 #include <string>
 
+#include "absl/strings/str_cat.h"
 #include "client/cli/commands/checks_command.h"
 #include "client/cli/commands/context_command.h"
 #include "client/cli/commands/contradictions_command.h"
@@ -33,6 +34,7 @@
 #include "client/cli/connection_flags.h"
 #include "client/cli/connection_hint.h"
 #include "client/cli/flags.h"
+#include "client/cli/grpc_log.h"
 #include "client/cli/usage/help_text.h"
 #include "client/revisit/channel.h"
 #include "client/revisit/client.h"
@@ -125,14 +127,16 @@ absl::Status RunChosen(const ParsedLine& line, const Command& program,
   return RunWithServer(line.run, *server, terminal);
 }
 
+// In one write, so that nothing comes in between that a thread, or another
+// program on the same terminal, writes at the same time.
 void ReportError(const absl::Status& status, bool json) {
   if (json) {
-    std::cerr << ErrorToJson(status) << '\n';
+    std::cerr << absl::StrCat(ErrorToJson(status), "\n");
     return;
   }
   // A wrong usage needs no name of the program.
-  std::cerr << (ExitCodeOf(status) == kExitUsage ? "" : "revisit: ")
-            << ErrorText(status) << '\n';
+  std::cerr << absl::StrCat(ExitCodeOf(status) == kExitUsage ? "" : "revisit: ",
+                            ErrorText(status), "\n");
 }
 
 int Main(int argc, const char* const* argv) {
@@ -160,5 +164,6 @@ int Main(int argc, const char* const* argv) {
 
 int main(int argc, char** argv) {
   std::ios::sync_with_stdio(false);
+  revisit::client::SilenceGrpcLog();
   return revisit::client::Main(argc, argv);
 }

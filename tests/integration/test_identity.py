@@ -16,7 +16,7 @@ from grpc_health.v1 import health_pb2, health_pb2_grpc
 from caller_identities import (
     POLICY, USAGE, As, Code, Identities, ask, create, list_vehicles, secure_stub)
 from identities import Authority, TokenKey, bearer, key_set, replace
-from revisit_server import Server, open_files, run, wait_until
+from revisit_server import Server, clean_environment, open_files, run, wait_until
 from stubs import ROOT, PoseGraphServiceStub, api
 from wire import (
     PoseStream, append, decode_failure, failure_of, list_poses, straight)
@@ -595,6 +595,8 @@ def test_command_line_asks_whether_tls_is_wanted(
         result = run("revisit", "--server", server.address, *flags, "vehicle",
                      "list")
         assert result.returncode == 64 + Code.UNAVAILABLE.value[0], result
+        # Nothing that gRPC logs by itself.
+        assert result.stderr.startswith(("revisit: ", "{")), result
         return result.stderr.splitlines()[-1]
 
     authority = ["--tls-ca", identities.authority_file]
@@ -602,6 +604,9 @@ def test_command_line_asks_whether_tls_is_wanted(
     assert told(tls_server, *authority).startswith(
         "(connected without a certificate: ")
     assert told(token_server, *authority).startswith("(connected with TLS: ")
+    asked = run("revisit", "--server", token_server.address, *authority, "vehicle",
+                "list", env={**clean_environment(), "GRPC_VERBOSITY": "ERROR"})
+    assert "Handshake failed" in asked.stderr.partition("revisit: ")[0], asked
     # What reads JSON is not asked.
     assert json.loads(told(tls_server, "--json"))["error"]["code"] == (
         "UNAVAILABLE")
