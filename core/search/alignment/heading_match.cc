@@ -16,9 +16,9 @@ constexpr float kRounding = 1e-3F;
 
 // How much more a path may gain than the filter of headings that are looked at
 // closely says: what bins and slips leave open is taken for what costs least at
-// each heading, which later ones may not bear out. Paths of a town of bends
-// gained up to 2.3 nats more. A nat of shape counts for a twentieth of one of
-// evidence.
+// each heading, which later ones may not bear out. In 60 towns of bends, 90 of
+// 33 million paths gained more than this, by up to 2.1 nats, each of which
+// counts for a twentieth of one of evidence.
 constexpr float kNotBorneOut = 3.0F;
 
 // The variances of a filter that looks at every `apart`-th heading, in squared

@@ -12,7 +12,8 @@
 // A heading is looked at every few steps, and at more of them where that
 // matters. Those that the bins, and up to kMostSlips slips either way, leave
 // open are taken for the likeliest. So the bound holds for paths without more
-// slips than these at a time; each slip costs kSlipCost.
+// slips than these at a time; each slip costs kSlipCost. The bound by more
+// headings is one that a few paths in a million exceed a little: kNotBorneOut.
 #ifndef REVISIT_CORE_SEARCH_ALIGNMENT_HEADING_MATCH_H_
 #define REVISIT_CORE_SEARCH_ALIGNMENT_HEADING_MATCH_H_
 
