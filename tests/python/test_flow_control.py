@@ -62,6 +62,58 @@ def test_a_program_that_waits_for_room_can_be_interrupted(
     assert rest == "interrupted, 0 acknowledged\n"
 
 
+#: What the main thread may wait for; it is told first that the server has been stopped.
+WAITS = {
+    "opening": "client.stream_poses(vehicle).wait_until_opened()",
+    "room": "stream.append(poses)",
+    "the end": "stream.append(poses[:5]); stream.finish()",
+    "candidates": "next(stream.candidates())",
+    "events": "next(watch)",
+}
+LOST = """
+import _thread, sys, threading, time
+import numpy as np
+import revisit
+client = revisit.Client(sys.argv[1])
+vehicle = sys.argv[2]
+poses = revisit.Poses.local(*np.zeros((3, 100)), np.tile([1.0, 0, 0, 1, 0, 1],
+                            (100, 1)), sequence=np.arange(1, 101))
+stream = client.stream_poses(vehicle, revisit.StreamOptions(
+    max_pending_poses=10, send_candidates=True))
+stream.wait_until_opened()
+watch = client.watch(vehicle)
+print("opened", flush=True)
+sys.stdin.readline()
+
+def interrupt():
+    # As the system interrupts, but it wakes nobody who waits for a lock.
+    time.sleep(0.2)
+    _thread.interrupt_main()
+
+threading.Thread(target=interrupt, daemon=True).start()
+try:
+    WAIT
+except KeyboardInterrupt:
+    print("interrupted", flush=True)
+"""
+
+
+@pytest.mark.parametrize("what", WAITS)
+def test_an_interrupt_is_heard_that_comes_as_a_wait_begins(server, new_vehicle, what):
+    program = subprocess.Popen(
+        [sys.executable, "-c", LOST.replace("WAIT", WAITS[what]), server.address,
+         new_vehicle()], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    try:
+        assert program.stdout.readline() == "opened\n"
+        os.kill(server.pid, signal.SIGSTOP)
+        rest, _ = program.communicate("\n", timeout=LONG)
+    finally:
+        os.kill(server.pid, signal.SIGCONT)
+        program.kill()
+        program.wait()
+    assert rest == "interrupted\n"
+
+
 def test_a_slow_server_makes_append_wait(server, client, new_vehicle, in_thread):
     vehicle = new_vehicle()
     options = StreamOptions(max_pending_poses=100, batch_poses=10, answer_timeout=LONG)

@@ -14,6 +14,7 @@ from typing import Optional
 import grpc
 
 from revisit import v1
+from revisit._condition import INTERRUPT_SECONDS, Condition
 from revisit._stream_state import Connection, StreamState
 from revisit.channel import Caller, Channels, Lease, owner_route, stub_of
 from revisit.errors import Cancelled, Error, from_rpc_error
@@ -30,7 +31,7 @@ class Engine:
     def __init__(self, channels: Channels, caller: Caller, state: StreamState) -> None:
         self._channels = channels
         self._caller = caller
-        self.changed = threading.Condition()
+        self.changed = Condition()
         self._state = state
         # Daemons, so that a stream that nobody ends does not keep the program.
         self._thread = threading.Thread(target=self._run, daemon=True,
@@ -42,10 +43,13 @@ class Engine:
 
     def join(self) -> None:
         """Waits until no callback runs, unless a callback asks for it."""
-        for thread in (self._thread, self._reader):
-            if thread is not None and thread is not threading.current_thread():
-                # The reader ends with its call; only one that gRPC forgets stays.
-                thread.join(None if thread is self._thread else CANCEL_SECONDS)
+        if threading.current_thread() in (self._thread, self._reader):
+            return
+        while self._thread.is_alive():
+            self._thread.join(INTERRUPT_SECONDS)
+        if self._reader is not None:
+            # It ends with its call; only one that gRPC forgets stays.
+            self._reader.join(CANCEL_SECONDS)
 
     def _run(self) -> None:
         error: Optional[BaseException] = None

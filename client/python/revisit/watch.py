@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from revisit import v1
 from revisit._calls import CheckPages
+from revisit._condition import Condition
 from revisit._watch_state import ANSWER_SECONDS, EventFields, WatchState
 from revisit.channel import Caller, Channels, Lease, stub_of
 from revisit.errors import Cancelled, Error, Unavailable, from_rpc_error
@@ -121,7 +122,7 @@ class _Connection:
         self._channels = channels
         self._caller = caller
         self._request = request
-        self._changed = threading.Condition()
+        self._changed = Condition()
         self._call: Any = None
         self._lease: Optional[Lease] = None
         self._waiting: Optional[v1.WatchCandidatesResponse] = None
