@@ -13,10 +13,11 @@ from google.protobuf import field_mask_pb2
 from numpy.typing import ArrayLike
 
 from revisit import v1
+from revisit._arguments import check_call, message, numbers, refuse, text
 from revisit._names import Vehicles, vehicle_name, vehicle_names
 from revisit._pose_columns import arrays_of, columns_of, sequence_at
 from revisit._settings import merged, number_of
-from revisit.arrays import Poses, PosesLike, to_covariances
+from revisit.arrays import Poses, PosesLike, pose_messages, to_covariances
 from revisit.errors import Internal, InvalidArgument, located
 from revisit.tables import PoseGraph, edge_table, node_table
 
@@ -57,7 +58,7 @@ _MOST_EMPTY_PAGES_OF_CHECKS = 100_000
 
 
 def _messages(poses: PosesLike) -> Iterable[v1.Pose]:
-    return poses.to_messages() if isinstance(poses, Poses) else poses
+    return poses.to_messages() if isinstance(poses, Poses) else pose_messages(poses)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,6 +90,12 @@ def unary(method: str, request: Any,
     return Call(method, request, unpack, is_safe=method not in _NEVER_REPEATED,
                 takes_any_revision=method in _CHANGES_OF_GROUPS
                 and getattr(request, "expected_revision", 0) == 0)
+
+
+def named(method: str, request: Any) -> Call[Any]:
+    """Any unary call, as the caller names it."""
+    check_call(method, request)
+    return unary(method, request)
 
 
 class Pages(Generic[_T]):
@@ -159,10 +166,11 @@ def _vehicle_of(answer: Any) -> v1.Vehicle:
 def create_vehicle(vehicle_id: str, settings: Optional[v1.VehicleSettings],
                    display_name: str, labels: Optional[Mapping[str, str]],
                    keywords: Mapping[str, Any]) -> Call[v1.Vehicle]:
-    return unary("CreateVehicle", v1.CreateVehicleRequest(
-        vehicle_id=vehicle_id.removeprefix("vehicles/"),
-        vehicle=v1.Vehicle(
-            settings=merged(v1.VehicleSettings, settings, keywords),
+    return unary("CreateVehicle", message(
+        v1.CreateVehicleRequest,
+        vehicle_id=text("vehicle_id", vehicle_id).removeprefix("vehicles/"),
+        vehicle=message(
+            v1.Vehicle, settings=merged(v1.VehicleSettings, settings, keywords),
             display_name=display_name, labels=labels)), _vehicle_of)
 
 
@@ -175,21 +183,28 @@ def list_vehicles() -> Pages[v1.Vehicle]:
     return Pages("ListVehicles", v1.ListVehiclesRequest(page_size=PAGE), "vehicles")
 
 
+def settings_paths(names: Iterable[str], keywords: Mapping[str, Any]) -> list[str]:
+    """The settings that change, as masks name them."""
+    names = [names] if isinstance(names, str) else names
+    return [f"settings.{name}" for name in (*names, *keywords)]
+
+
 def update_vehicle(vehicle: str, settings: Optional[v1.VehicleSettings],
                    names: Iterable[str], display_name: Optional[str],
                    labels: Optional[Mapping[str, Optional[str]]],
                    keywords: Mapping[str, Any]) -> Call[v1.Vehicle]:
-    changed = v1.Vehicle(name=vehicle_name(vehicle),
-                         settings=merged(v1.VehicleSettings, settings, keywords))
-    paths = [f"settings.{name}" for name in (*names, *keywords)]
-    if display_name is not None:
-        changed.display_name = display_name
-        paths.append("display_name")
-    for key, value in (labels or {}).items():
-        if value is not None:
-            changed.labels[key] = value
-        paths.append(f"labels.{key}")
-    return unary("UpdateVehicle", v1.UpdateVehicleRequest(
+    if not isinstance(labels, (Mapping, type(None))):
+        refuse("labels", labels, "a mapping of strings")
+    labels = labels or {}
+    changed = message(
+        v1.Vehicle, name=vehicle_name(vehicle), display_name=display_name,
+        settings=merged(v1.VehicleSettings, settings, keywords),
+        labels={key: value for key, value in labels.items() if value is not None})
+    paths = [*settings_paths(names, keywords),
+             *(["display_name"] if display_name is not None else []),
+             *(f"labels.{key}" for key in labels)]
+    return unary("UpdateVehicle", message(
+        v1.UpdateVehicleRequest,
         vehicle=changed, update_mask=field_mask_pb2.FieldMask(paths=paths)),
         _vehicle_of)
 
@@ -199,8 +214,9 @@ def delete_vehicle(vehicle: str) -> Call[Any]:
 
 
 def accept_data_loss(vehicle: str, durable_sequence: int) -> Call[v1.Vehicle]:
-    return unary("AcceptDataLoss", v1.AcceptDataLossRequest(
-        name=vehicle_name(vehicle), durable_sequence=durable_sequence), _vehicle_of)
+    return unary("AcceptDataLoss", message(
+        v1.AcceptDataLossRequest, name=vehicle_name(vehicle),
+        durable_sequence=durable_sequence), _vehicle_of)
 
 
 # Poses.
@@ -212,8 +228,9 @@ class Appending:
 
     def __init__(self, vehicle: str, poses: PosesLike, vehicle_uid: str) -> None:
         self._poses = poses
-        self._request = v1.AppendPosesRequest(vehicle=vehicle_name(vehicle),
-                                              vehicle_uid=vehicle_uid)
+        self._request = message(
+            v1.AppendPosesRequest,
+            vehicle=vehicle_name(vehicle), vehicle_uid=vehicle_uid)
         columns = (columns_of(poses)
                    if isinstance(poses, Poses) and len(poses) > 0 else None)
         if columns is None:
@@ -240,8 +257,8 @@ class Appending:
 
 def _poses_request(vehicle: str, first_sequence: int, as_sent: bool,
                    as_columns: bool) -> v1.ListPosesRequest:
-    return v1.ListPosesRequest(
-        parent=vehicle_name(vehicle), page_size=_POSES_PAGE,
+    return message(
+        v1.ListPosesRequest, parent=vehicle_name(vehicle), page_size=_POSES_PAGE,
         first_sequence=first_sequence, view=_view(as_sent), as_columns=as_columns)
 
 
@@ -271,14 +288,15 @@ def list_recordings(vehicle: str) -> Pages[v1.Recording]:
 def revise_poses(vehicle: str, poses: PosesLike, expected_revision: int,
                  common_frame: bool) -> Call[v1.RevisePosesResponse]:
     revised = list(_messages(poses))
+    first = message(v1.RevisePosesRequest, vehicle=vehicle_name(vehicle),
+                    expected_revision=expected_revision, common_frame=common_frame)
+    other = v1.RevisePosesRequest(vehicle=first.vehicle)
 
     def requests() -> Iterator[v1.RevisePosesRequest]:
         for start in range(0, max(len(revised), 1), _REVISED_POSES):
-            yield v1.RevisePosesRequest(
-                vehicle=vehicle_name(vehicle),
-                expected_revision=expected_revision if start == 0 else 0,
-                common_frame=common_frame and start == 0,
-                poses=revised[start:start + _REVISED_POSES])
+            part = v1.RevisePosesRequest(poses=revised[start:start + _REVISED_POSES])
+            part.MergeFrom(first if start == 0 else other)
+            yield part
 
     return Call("RevisePoses", requests, lambda answer: answer,
                 is_safe=expected_revision != 0, is_bulk=True)
@@ -313,34 +331,36 @@ def find_candidates(vehicle: str, sequence: int,
 
     if scope is not None:
         keywords = {**keywords, "scope": scope}
-    return unary("FindCandidates", v1.FindCandidatesRequest(
-        vehicle=vehicle_name(vehicle), sequence=sequence,
+    return unary("FindCandidates", message(
+        v1.FindCandidatesRequest, vehicle=vehicle_name(vehicle), sequence=sequence,
         options=merged(v1.CandidateOptions, options, keywords)), candidates)
 
 
 def _pair(query: Union[int, v1.Candidate, _Pair], matched: Optional[int],
           kind: type[_Pair], note: str) -> _Pair:
     """The message that reports a finding, unless the caller has made it."""
-    if isinstance(query, int):
+    if isinstance(query, (int, np.integer)):
         if matched is None:
             raise TypeError("matched is missing: two sequences, or a candidate")
-        return kind(query_sequence=query, matched_sequence=matched, note=note)
+        return message(kind, query_sequence=query, matched_sequence=matched, note=note)
+    if not isinstance(query, (v1.Candidate, kind)):
+        refuse("query", query, f"a sequence, a v1.Candidate or a v1.{kind.__name__}")
     if matched is not None:
         raise TypeError(f"matched: got {matched!r} beside a {type(query).__name__}, "
                         "which has both poses")
     if isinstance(query, v1.Candidate):
-        return kind(query_sequence=query.query.sequence,
-                    matched_sequence=query.matched.sequence, note=note)
+        return message(kind, query_sequence=query.query.sequence,
+                       matched_sequence=query.matched.sequence, note=note)
     if note:
         raise ValueError(f"note: got {note!r} beside a {kind.__name__}, which has "
                          "a note of its own")
     return query
 
 
-def coordinates_of(numbers: ArrayLike, name: str, maps: str) -> dict[str, float]:
+def coordinates_of(coordinates: ArrayLike, name: str, maps: str) -> dict[str, float]:
     """x, y, z and heading as messages have them, of (x, y, heading), (x, y, z, heading)
     or a matrix that `maps` something."""
-    array = np.asarray(numbers, dtype=np.float64)
+    array = numbers(name, coordinates)
     if array.shape in ((3, 3), (4, 4)):
         turn = np.arctan2(array[1, 0], array[0, 0])
         array = np.append(array[:-1, -1], turn)
@@ -355,7 +375,7 @@ def coordinates_of(numbers: ArrayLike, name: str, maps: str) -> dict[str, float]
 
 def covariance_of(covariance: ArrayLike) -> v1.Covariance:
     """The covariance of one error, as `to_covariances()` takes those of poses."""
-    values, form = to_covariances(np.asarray(covariance, np.float64)[np.newaxis], 1)
+    values, form = to_covariances(numbers("covariance", covariance)[np.newaxis], 1)
     return v1.Covariance(form=v1.CovarianceForm.Name(form), values=values[0])
 
 
@@ -377,7 +397,8 @@ def add_findings(closure: Union[v1.LoopClosure, v1.InterVehicleLoopClosure],
     elif covariance is not None:
         raise TypeError("covariance is that of relative, which is missing")
     if score is not None:
-        closure.score = score
+        found: Any = message(type(closure), score=score)
+        closure.MergeFrom(found)
 
 
 def add_loop_closure(vehicle: str, query: Union[int, v1.Candidate, v1.LoopClosure],
@@ -388,7 +409,8 @@ def add_loop_closure(vehicle: str, query: Union[int, v1.Candidate, v1.LoopClosur
     made = v1.LoopClosure()
     made.CopyFrom(_pair(query, matched, v1.LoopClosure, note))
     add_findings(made, relative, covariance, score)
-    return unary("AddLoopClosure", v1.AddLoopClosureRequest(
+    return unary("AddLoopClosure", message(
+        v1.AddLoopClosureRequest,
         parent=vehicle_name(vehicle), loop_closure_id=loop_closure_id,
         loop_closure=made, candidate=candidate))
 
@@ -399,7 +421,7 @@ def list_loop_closures(vehicle: str) -> Pages[v1.LoopClosure]:
 
 
 def delete_loop_closure(name: str) -> Call[Any]:
-    return unary("DeleteLoopClosure", v1.DeleteLoopClosureRequest(name=name))
+    return unary("DeleteLoopClosure", message(v1.DeleteLoopClosureRequest, name=name))
 
 
 def find_contradictions(vehicle: str) -> Call[list[v1.Contradiction]]:
@@ -415,7 +437,8 @@ def reject_candidate(vehicle: str,
                      query: Union[int, v1.Candidate, v1.RejectedCandidate],
                      matched: Optional[int], note: str, rejected_candidate_id: str,
                      candidate: str) -> Call[v1.RejectCandidateResponse]:
-    return unary("RejectCandidate", v1.RejectCandidateRequest(
+    return unary("RejectCandidate", message(
+        v1.RejectCandidateRequest,
         parent=vehicle_name(vehicle), rejected_candidate_id=rejected_candidate_id,
         rejected_candidate=_pair(query, matched, v1.RejectedCandidate, note),
         candidate=candidate))
@@ -428,7 +451,7 @@ def list_rejected_candidates(vehicle: str) -> Pages[v1.RejectedCandidate]:
 
 def delete_rejected_candidate(name: str) -> Call[Any]:
     return unary("DeleteRejectedCandidate",
-                 v1.DeleteRejectedCandidateRequest(name=name))
+                 message(v1.DeleteRejectedCandidateRequest, name=name))
 
 
 def _deletion_order(pair: v1.DeletedPosePair) -> int:
@@ -449,8 +472,8 @@ def list_deleted_pose_pairs(vehicle: str) -> Pages[v1.DeletedPosePair]:
 def candidate_filter(vehicles: Vehicles, states: Words, verdicts: Words,
                      least_probability: Optional[float],
                      least_value: Optional[float]) -> v1.CandidateFilter:
-    return v1.CandidateFilter(
-        vehicles=vehicle_names(vehicles),
+    return message(
+        v1.CandidateFilter, vehicles=vehicle_names(vehicles),
         states=_numbers(v1.CandidateState, "states", states),
         verdicts=_numbers(v1.Verdict, "verdicts", verdicts),
         least_probability=least_probability,
@@ -470,7 +493,7 @@ def evidence_of(check: v1.Check, candidate: v1.CheckCandidate
 def _numbers(enum: Any, name: str, words: Words) -> list[Any]:
     if words is None:
         return []
-    if isinstance(words, (str, int)):
+    if isinstance(words, str) or not isinstance(words, Iterable):
         words = (words,)
     return [number_of(enum.DESCRIPTOR, name, word) for word in words]
 
@@ -479,7 +502,7 @@ def get_check(name: str) -> Call[v1.Check]:
     def check(answer: v1.GetCheckResponse) -> v1.Check:
         return answer.check
 
-    return unary("GetCheck", v1.GetCheckRequest(name=name), check)
+    return unary("GetCheck", message(v1.GetCheckRequest, name=name), check)
 
 
 def vehicle_of(name: str) -> str:
@@ -507,7 +530,8 @@ class CheckPages:
     def __init__(self, vehicle: str, wanted: v1.CandidateFilter,
                  order: Union[str, int, None] = None, fresh_only: bool = False,
                  looks_per_kilometer: int = 0) -> None:
-        request = v1.ListChecksRequest(
+        request = message(
+            v1.ListChecksRequest,
             parent=vehicle_name(vehicle), page_size=_CHECKS_PAGE, filter=wanted,
             order=_order_of(order), fresh_only=fresh_only,
             looks_per_kilometer=looks_per_kilometer)

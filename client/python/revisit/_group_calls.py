@@ -9,8 +9,10 @@ from google.protobuf import field_mask_pb2
 from numpy.typing import ArrayLike
 
 from revisit import v1
+from revisit._arguments import message, refuse, text
 from revisit._calls import (
-    PAGE, Call, Pages, add_findings, coordinates_of, covariance_of, unary)
+    PAGE, Call, Pages, add_findings, coordinates_of, covariance_of, settings_paths,
+    unary)
 from revisit._names import Vehicles, group_name, vehicle_name, vehicle_names
 from revisit._settings import merged
 from revisit.errors import Aborted
@@ -26,14 +28,14 @@ def datum(pose: ArrayLike, covariance: ArrayLike, *, datum_id: str = "") -> v1.D
     `covariance` is that of its error at the recording's first pose, as
     `to_covariances()` takes it for one pose. Vehicles whose datums have the same
     `datum_id` have that error in common."""
-    return v1.Datum(
-        datum_id=datum_id, covariance=covariance_of(covariance),
+    return message(
+        v1.Datum, datum_id=datum_id, covariance=covariance_of(covariance),
         pose=v1.StatePose(**coordinates_of(
             pose, "pose", "the vehicle's frame into the shared one")))
 
 
 def _member_name(group: str, vehicle: str) -> str:
-    return f"{group_name(group)}/members/{vehicle.rpartition('/')[2]}"
+    return f"{group_name(group)}/members/{vehicle_name(vehicle).rpartition('/')[2]}"
 
 
 def _group_of(answer: Any) -> v1.Group:
@@ -43,9 +45,10 @@ def _group_of(answer: Any) -> v1.Group:
 
 def create_group(group_id: str, settings: Optional[v1.GroupSettings],
                  display_name: str, keywords: Mapping[str, Any]) -> Call[v1.Group]:
-    return unary("CreateGroup", v1.CreateGroupRequest(
-        group_id=group_id.removeprefix("groups/"),
-        group=v1.Group(settings=merged(v1.GroupSettings, settings, keywords),
+    return unary("CreateGroup", message(
+        v1.CreateGroupRequest,
+        group_id=text("group_id", group_id).removeprefix("groups/"),
+        group=message(v1.Group, settings=merged(v1.GroupSettings, settings, keywords),
                        display_name=display_name)), _group_of)
 
 
@@ -61,19 +64,19 @@ def update_group(group: str, settings: Optional[v1.GroupSettings],
                  names: Iterable[str], display_name: Optional[str],
                  expected_revision: int,
                  keywords: Mapping[str, Any]) -> Call[v1.Group]:
-    changed = v1.Group(name=group_name(group),
-                       settings=merged(v1.GroupSettings, settings, keywords))
-    paths = [f"settings.{name}" for name in (*names, *keywords)]
-    if display_name is not None:
-        changed.display_name = display_name
-        paths.append("display_name")
-    return unary("UpdateGroup", v1.UpdateGroupRequest(
+    changed = message(v1.Group, name=group_name(group), display_name=display_name,
+                      settings=merged(v1.GroupSettings, settings, keywords))
+    paths = [*settings_paths(names, keywords),
+             *(["display_name"] if display_name is not None else [])]
+    return unary("UpdateGroup", message(
+        v1.UpdateGroupRequest,
         group=changed, update_mask=field_mask_pb2.FieldMask(paths=paths),
         expected_revision=expected_revision), _group_of)
 
 
 def delete_group(group: str, expected_revision: int) -> Call[Any]:
-    return unary("DeleteGroup", v1.DeleteGroupRequest(
+    return unary("DeleteGroup", message(
+        v1.DeleteGroupRequest,
         name=group_name(group), expected_revision=expected_revision))
 
 
@@ -81,14 +84,15 @@ def add_group_member(group: str, vehicle: str, placed: Optional[v1.Datum]
                      ) -> Call[v1.AddGroupMemberResponse]:
     return unary("AddGroupMember", v1.AddGroupMemberRequest(
         parent=group_name(group),
-        member=v1.GroupMember(vehicle=vehicle_name(vehicle), datum=placed)))
+        member=message(v1.GroupMember, vehicle=vehicle_name(vehicle), datum=placed)))
 
 
 def update_group_member(group: str, vehicle: str, placed: Optional[v1.Datum],
                         expected_revision: int
                         ) -> Call[v1.UpdateGroupMemberResponse]:
-    return unary("UpdateGroupMember", v1.UpdateGroupMemberRequest(
-        member=v1.GroupMember(name=_member_name(group, vehicle), datum=placed),
+    return unary("UpdateGroupMember", message(
+        v1.UpdateGroupMemberRequest,
+        member=message(v1.GroupMember, name=_member_name(group, vehicle), datum=placed),
         expected_revision=expected_revision))
 
 
@@ -102,9 +106,11 @@ def list_group_members(group: str) -> Pages[v1.GroupMember]:
         parent=group_name(group), page_size=PAGE), "members")
 
 
-def _end(pose: MemberPose) -> v1.MemberPose:
+def _end(name: str, pose: MemberPose) -> v1.MemberPose:
+    if not isinstance(pose, tuple) or len(pose) != 2:
+        refuse(name, pose, "(vehicle, sequence)")
     vehicle, sequence = pose
-    return v1.MemberPose(vehicle=vehicle_name(vehicle), sequence=sequence)
+    return message(v1.MemberPose, vehicle=vehicle_name(vehicle), sequence=sequence)
 
 
 def _poses_of(query: Union[MemberPose, str], matched: Union[MemberPose, v1.Candidate],
@@ -115,15 +121,15 @@ def _poses_of(query: Union[MemberPose, str], matched: Union[MemberPose, v1.Candi
         if isinstance(query, str):
             raise TypeError(f"query is {query!r}: with a pose, expected (vehicle, "
                             "sequence)")
-        return _end(query), _end(matched)
+        return _end("query", query), _end("matched", matched)
     if not isinstance(query, str):
         raise TypeError(f"query is {query!r}: with a candidate, which has the "
                         "sequence, expected the vehicle that asked")
     if not matched.matched_vehicle:
         raise ValueError("matched is a candidate in the vehicle's own history: "
                          f"{own_call} takes it")
-    return (_end((query, matched.query.sequence)),
-            _end((matched.matched_vehicle, matched.matched.sequence)))
+    return (_end("query", (query, matched.query.sequence)),
+            _end("matched", (matched.matched_vehicle, matched.matched.sequence)))
 
 
 def add_inter_vehicle_loop_closure(
@@ -132,9 +138,10 @@ def add_inter_vehicle_loop_closure(
         covariance: Optional[ArrayLike], score: Optional[float], note: str,
         loop_closure_id: str) -> Call[v1.AddInterVehicleLoopClosureResponse]:
     asked, found = _poses_of(query, matched, "add_loop_closure()")
-    made = v1.InterVehicleLoopClosure(query=asked, matched=found, note=note)
+    made = message(v1.InterVehicleLoopClosure, query=asked, matched=found, note=note)
     add_findings(made, relative, covariance, score)
-    return unary("AddInterVehicleLoopClosure", v1.AddInterVehicleLoopClosureRequest(
+    return unary("AddInterVehicleLoopClosure", message(
+        v1.AddInterVehicleLoopClosureRequest,
         parent=group_name(group), loop_closure_id=loop_closure_id, loop_closure=made))
 
 
@@ -148,10 +155,11 @@ def reject_inter_vehicle_candidate(
         matched: Union[MemberPose, v1.Candidate], note: str,
         rejected_candidate_id: str) -> Call[v1.RejectInterVehicleCandidateResponse]:
     asked, found = _poses_of(query, matched, "reject_candidate()")
-    return unary("RejectInterVehicleCandidate", v1.RejectInterVehicleCandidateRequest(
+    return unary("RejectInterVehicleCandidate", message(
+        v1.RejectInterVehicleCandidateRequest,
         parent=group_name(group), rejected_candidate_id=rejected_candidate_id,
-        rejected_candidate=v1.InterVehicleRejectedCandidate(
-            query=asked, matched=found, note=note)))
+        rejected_candidate=message(
+            v1.InterVehicleRejectedCandidate, query=asked, matched=found, note=note)))
 
 
 def list_inter_vehicle_rejected_candidates(
@@ -163,7 +171,7 @@ def list_inter_vehicle_rejected_candidates(
 
 def delete_inter_vehicle_rejected_candidate(name: str) -> Call[Any]:
     return unary("DeleteInterVehicleRejectedCandidate",
-                 v1.DeleteInterVehicleRejectedCandidateRequest(name=name))
+                 message(v1.DeleteInterVehicleRejectedCandidateRequest, name=name))
 
 
 class _FrameTransforms(Pages[v1.FrameTransform]):
@@ -187,7 +195,8 @@ def _place_of(transform: v1.FrameTransform) -> tuple[str, int]:
 
 def list_frame_transforms(group: str, vehicle: str, vehicles: Vehicles,
                           allow_partial: bool) -> Pages[v1.FrameTransform]:
-    return _FrameTransforms("ListFrameTransforms", v1.ListFrameTransformsRequest(
+    return _FrameTransforms("ListFrameTransforms", message(
+        v1.ListFrameTransformsRequest,
         parent=group_name(group), vehicle=vehicle_name(vehicle),
         vehicles=vehicle_names(vehicles), allow_partial=allow_partial, page_size=PAGE),
         "frame_transforms", order=_place_of)
@@ -195,4 +204,4 @@ def list_frame_transforms(group: str, vehicle: str, vehicles: Vehicles,
 
 def delete_inter_vehicle_loop_closure(name: str) -> Call[Any]:
     return unary("DeleteInterVehicleLoopClosure",
-                 v1.DeleteInterVehicleLoopClosureRequest(name=name))
+                 message(v1.DeleteInterVehicleLoopClosureRequest, name=name))

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from typing import Optional, Union
 
 from revisit import v1
+from revisit._arguments import message, refuse, text
 
 #: By id or resource name; None for all.
 Vehicles = Union[str, Iterable[str], None]
@@ -13,17 +14,21 @@ Vehicles = Union[str, Iterable[str], None]
 
 def vehicle_name(vehicle: str) -> str:
     """The resource name: "vehicles/shuttle-7", also of the id "shuttle-7"."""
+    text("vehicle", vehicle, "the id or the resource name of a vehicle")
     return vehicle if "/" in vehicle else f"vehicles/{vehicle}"
 
 
 def vehicle_names(vehicles: Vehicles) -> list[str]:
     if isinstance(vehicles, str):
         vehicles = (vehicles,)
+    if not isinstance(vehicles, (Iterable, type(None))):
+        refuse("vehicles", vehicles, "ids or resource names of vehicles")
     return [vehicle_name(vehicle) for vehicle in vehicles or ()]
 
 
 def group_name(group: str) -> str:
     """The resource name: "groups/depot", also of the id "depot"."""
+    text("group", group, "the id or the resource name of a group")
     return group if "/" in group else f"groups/{group}"
 
 
@@ -36,5 +41,6 @@ def search_scope(group: str, vehicles: Vehicles, exclude_own: bool,
             raise TypeError("group is missing: vehicles, exclude_own and allow_partial "
                             "are those of a search in a group")
         return None
-    return v1.SearchScope(group=group_name(group), vehicles=vehicle_names(vehicles),
-                          exclude_own=exclude_own, allow_partial=allow_partial)
+    return message(v1.SearchScope, group=group_name(group),
+                   vehicles=vehicle_names(vehicles), exclude_own=exclude_own,
+                   allow_partial=allow_partial)

@@ -6,6 +6,7 @@ import dataclasses
 import time
 from typing import Any, Optional
 
+from revisit._arguments import at_least, instance, seconds
 from revisit._calls import Call
 from revisit.backoff import Backoff, BackoffOptions
 from revisit.channel import Caller, Metadata, owner_route
@@ -35,14 +36,17 @@ class CallOptions:
     backoff: BackoffOptions
 
     def __post_init__(self) -> None:
-        if self.max_attempts < 1:
-            raise ValueError(f"max_attempts is {self.max_attempts}: it is at least 1")
+        seconds("deadline", self.deadline)
+        seconds("bulk_deadline", self.bulk_deadline)
+        at_least("max_attempts", self.max_attempts, 1)
+        instance("backoff", self.backoff, BackoffOptions, "revisit.BackoffOptions")
 
     def attempts(self, caller: Caller, call: Call[Any], deadline: Optional[float],
                  request_id: Optional[str]) -> Attempts:
         """The attempts of one call; `deadline` counts before the client's own."""
         if deadline is None:
             deadline = self.bulk_deadline if call.is_bulk else self.deadline
+        seconds("deadline", deadline)
         return Attempts(caller, self.backoff, self.max_attempts, is_safe=call.is_safe,
                         takes_any_revision=call.takes_any_revision,
                         seconds=deadline, request_id=request_id)

@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit import v1
+from revisit._arguments import instance
 from revisit._pending import Held, PendingPoses, held_arrays, held_messages
 from revisit._pose_columns import sequence_at
 from revisit._text import printable
 from revisit._warnings import kind_of, text_of
-from revisit.arrays import Poses, PosesLike
+from revisit.arrays import Poses, PosesLike, pose_messages
 from revisit.backoff import Backoff
 from revisit.channel import Metadata
 from revisit.errors import (
@@ -73,6 +74,8 @@ class StreamState:
 
     def __init__(self, vehicle: str, options: StreamOptions,
                  callbacks: StreamCallbacks) -> None:
+        instance("options", options, StreamOptions, "revisit.StreamOptions")
+        instance("callbacks", callbacks, StreamCallbacks, "revisit.StreamCallbacks")
         self.vehicle = vehicle
         self.options = options
         self.callbacks = callbacks
@@ -115,7 +118,7 @@ class StreamState:
             parts = list(held_arrays(poses)) if len(poses) > 0 else []
         else:
             copies = []
-            for pose in poses:
+            for pose in pose_messages(poses):
                 # The caller may go on using its own.
                 copy = v1.Pose()
                 copy.CopyFrom(pose)

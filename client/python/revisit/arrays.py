@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from revisit import v1
+from revisit._arguments import refuse
 from revisit._display import html_table, spread
 from revisit.recording_starts import recording_start as start_of
 
@@ -472,3 +473,13 @@ def _widened(table: Float, width: int) -> Float:
 
 
 PosesLike = Union[Poses, Iterable[v1.Pose]]
+
+
+def pose_messages(poses: Iterable[v1.Pose]) -> Iterator[v1.Pose]:
+    """Messages that a caller gave instead of `Poses`; TypeError for others."""
+    if not isinstance(poses, Iterable) or isinstance(poses, str):
+        refuse("poses", poses, "revisit.Poses or v1.Pose messages")
+    for row, pose in enumerate(poses):
+        if not isinstance(pose, v1.Pose):
+            refuse(f"poses[{row}]", pose, "a v1.Pose, or for all of them revisit.Poses")
+        yield pose

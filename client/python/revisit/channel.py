@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Optional, Union
 
 import grpc
 
+from revisit._arguments import instance, text
 from revisit.errors import (
     Cancelled, DeadlineExceeded, Error, Unauthenticated, Unavailable, is_cut)
 from revisit.v1 import pose_graph_service_pb2_grpc as service
@@ -51,6 +52,14 @@ class ChannelOptions:
     #: token takes effect once it replaces the file. In plaintext a token is sent
     #: to this machine only: calls to other addresses fail.
     token_file: Optional[PathLike] = None
+
+    def __post_init__(self) -> None:
+        if not text("address", self.address, 'a string such as "127.0.0.1:50051"'):
+            raise ValueError("address is empty: expected one such as "
+                             '"127.0.0.1:50051"')
+        for name in ("tls_authorities", "tls_certificate", "tls_key", "token_file"):
+            instance(name, getattr(self, name), (str, os.PathLike, type(None)),
+                     "the path of a file")
 
 
 def _read_token(path: PathLike) -> str:

@@ -106,7 +106,7 @@ class Client:
         deadline and the retries that all have: `call("GetVehicle",
         v1.GetVehicleRequest(name="vehicles/a"))` returns a
         v1.GetVehicleResponse."""
-        return self._run(_calls.unary(method, request), deadline, request_id)
+        return self._run(_calls.named(method, request), deadline, request_id)
 
     def _run(self, call: Call[_T], deadline: Optional[float] = None,
              request_id: Optional[str] = None) -> _T:

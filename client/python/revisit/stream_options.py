@@ -6,6 +6,7 @@ import dataclasses
 from typing import Callable, Optional, Protocol
 
 from revisit import v1
+from revisit._arguments import at_least, instance, seconds, text
 from revisit._names import Vehicles, search_scope
 from revisit.backoff import BackoffOptions
 from revisit.errors import Error
@@ -64,20 +65,20 @@ class StreamOptions:
     def __post_init__(self) -> None:
         for name in ("batch_poses", "max_pending_poses", "max_pending_bytes",
                      "max_waiting_candidates"):
-            value = getattr(self, name)
-            if value < 1:
-                raise ValueError(f"{name} is {value}: it is at least 1")
-        if self.acked_sequence < 0:
-            raise ValueError(f"acked_sequence is {self.acked_sequence}: it is at "
-                             "least 0")
+            at_least(name, getattr(self, name), 1)
+        at_least("acked_sequence", self.acked_sequence, 0)
+        text("vehicle_uid", self.vehicle_uid)
+        instance("candidate_options", self.candidate_options,
+                 (v1.CandidateOptions, type(None)), "a v1.CandidateOptions")
+        instance("backoff", self.backoff, BackoffOptions, "revisit.BackoffOptions")
         if self.group and not self.send_candidates:
             raise ValueError(f"group is {self.group!r} without send_candidates: there "
                              "are no checks that could search in it")
         # Says what is wrong with them.
         self.search_scope()
-        if not self.answer_timeout > 0.0:
-            raise ValueError(f"answer_timeout is {self.answer_timeout} s: it is "
-                             "positive")
+        seconds("answer_timeout", self.answer_timeout)
+        if self.give_up_after is not None:
+            seconds("give_up_after", self.give_up_after)
 
     def search_scope(self) -> Optional[v1.SearchScope]:
         """Where else than in the vehicle's own history the checks search; None without

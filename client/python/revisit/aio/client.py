@@ -91,7 +91,7 @@ class Client:
     async def call(self, method: str, request: Any, *,
                    deadline: Optional[float] = None,
                    request_id: Optional[str] = None) -> Any:
-        return await self._run(_calls.unary(method, request), deadline, request_id)
+        return await self._run(_calls.named(method, request), deadline, request_id)
 
     async def _run(self, call: Call[_T], deadline: Optional[float] = None,
                    request_id: Optional[str] = None) -> _T:
