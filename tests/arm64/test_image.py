@@ -42,10 +42,11 @@ def image():
     buildah("commit", "--quiet", "--rm", base, "localhost/debian:arm64")
     # The format of OCI has no health check.
     buildah("build", "--isolation", "chroot", "--pull-never", "--format", "docker",
-            "--platform", "linux/arm64", "--build-arg", "PACKAGES=made",
+            "--platform", "linux/arm64",
+            "--build-context", f"packages={ROOT / 'build/arm64/release/packages'}",
             "--build-arg", "BASE=localhost/debian:arm64",
             "--file", ROOT / "deploy/image/Containerfile", "--tag", "localhost/revisit",
-            ROOT / "build/arm64/release/packages")
+            ROOT)
     container = buildah("from", "--pull-never", "--arch", "arm64", "localhost/revisit")
     mounted = buildah("mount", container)
     inspected = json.loads(buildah("inspect", "--type", "image", "localhost/revisit"))

@@ -94,7 +94,7 @@ CLAIMS = [
             ("deploy/arm64/packages", "tests/arm64/run", (
                 "deploy/arm64/packages\n",)),
             ("podman build --platform", "tests/arm64/test_image.py", (
-                '"--platform", "linux/arm64", "--build-arg", "PACKAGES=made"',)),
+                '"--platform", "linux/arm64"', '"--build-context", f"packages=')),
             ("podman build --file", "tests/image/run", (
                 "deploy/image/Containerfile", "--tag", "build")),
             ("podman run", "tests/image/test_image.py", (
