@@ -26,8 +26,8 @@ constexpr char kDrive[] =
     "of wheels and a\ngyroscope, with the covariance that goes with it. The "
     "server sees the estimate only.\n\n";
 
-// The address, the vehicle, the path of this program, and the vehicle that
-// asks in a group with that group.
+// How to go on with a server that stays: the address, the vehicle, the path of
+// this program, and the vehicle that asks in a group with that group.
 constexpr char kHints[] =
     "\nAsk it yourself:\n\n"
     "  export REVISIT_SERVER=$0\n"
@@ -41,7 +41,8 @@ constexpr char kHints[] =
     "1500}' \\\n"
     "    $0 revisit.v1.PoseGraphService/FindCandidates\n\n"
     "In a browser, with the console of a source tree:\n\n"
-    "  deploy/console --server $0\n\n";
+    "  deploy/console --server $0\n\n"
+    "The server stays up until Ctrl-C.\n";
 
 struct DemoOptions {
   std::string map = "demo.svg";
@@ -87,12 +88,12 @@ absl::Status RunDemo(const DemoOptions& demo, const Terminal& terminal) {
     terminal.out << "\nThe map of the drive is in " << demo.map
                  << ", that of its days as two vehicles in " << *group_map
                  << ".\n"
-                 << absl::Substitute(kHints, address, kVehicle,
-                                     program.string(), kDemoAsking, kDemoGroup)
                  << (demo.keep
-                         ? "The server stays up until Ctrl-C.\n"
-                         : "The server stops now; with --keep it stays up "
-                           "for these lines.\n")
+                         ? absl::Substitute(kHints, address, kVehicle,
+                                            program.string(), kDemoAsking,
+                                            kDemoGroup)
+                         : "With --keep the server stays up, and the demo "
+                           "ends with commands to ask it yourself.\n")
                  << std::flush;
     // The interrupt that ends this stops the server and ends the process.
     while (demo.keep) pause();
