@@ -15,6 +15,7 @@ def test_vehicles_are_made_listed_changed_and_deleted(client):
     assert (made.name, made.settings.max_candidates) == ("vehicles/crud", 3)
     assert client.create_vehicle("vehicles/crud", v1.VehicleSettings(
         max_candidates=3)).uid == made.uid
+    assert client.create_vehicle("crud", {"max_candidates": 3}).uid == made.uid
     with pytest.raises(revisit.AlreadyExists) as caught:
         client.create_vehicle("crud")
     assert caught.value.reason == "VEHICLE_EXISTS"

@@ -107,7 +107,7 @@ def list_group_members(group: str) -> Pages[v1.GroupMember]:
 
 
 def _end(name: str, pose: MemberPose) -> v1.MemberPose:
-    if not isinstance(pose, tuple) or len(pose) != 2:
+    if not isinstance(pose, (tuple, list)) or len(pose) != 2:
         refuse(name, pose, "(vehicle, sequence)")
     vehicle, sequence = pose
     return message(v1.MemberPose, vehicle=vehicle_name(vehicle), sequence=sequence)

@@ -30,8 +30,11 @@ def number_of(enum: Any, name: str, word: Union[str, int]) -> Any:
 
 def merged(kind: type[_T], base: Optional[_T],
            keywords: Mapping[str, Any]) -> Optional[_T]:
-    """The message `base` with the fields that the keywords name. TypeError for a name
-    that it does not have, ValueError for a word that an enum does not have."""
+    """The message `base` with the fields that the keywords name; a mapping for `base`
+    is as good as more keywords. TypeError for a name that it does not have, ValueError
+    for a word that an enum does not have."""
+    if isinstance(base, Mapping):
+        base, keywords = None, {**base, **keywords}
     if not isinstance(base, (kind, type(None))):
         refuse("options" if kind is v1.CandidateOptions else "settings", base,
                f"a v1.{kind.DESCRIPTOR.name}; its fields are keywords too")
