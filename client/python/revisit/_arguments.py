@@ -6,6 +6,7 @@ from __future__ import annotations
 import difflib
 import math
 import reprlib
+from collections.abc import Iterable
 from typing import Any, NoReturn, TypeVar
 
 import numpy as np
@@ -46,6 +47,13 @@ def refuse(name: str, value: object, expected: str) -> NoReturn:
     raise TypeError(f"{name} is {_shown(value)}: expected {expected}") from None
 
 
+def did_you_mean(word: str, allowed: Iterable[str]) -> str:
+    """The end of a message about a word that is none of those allowed; empty if none of
+    them is like it."""
+    near = difflib.get_close_matches(word, list(allowed), 1)
+    return f"; did you mean {near[0]}?" if near else ""
+
+
 def text(name: str, value: object, expected: str = "a string") -> str:
     if not isinstance(value, str):
         refuse(name, value, expected)
@@ -58,14 +66,13 @@ def instance(name: str, value: object, kinds: Any, expected: str) -> None:
         refuse(name, value, expected)
 
 
-def seconds(name: str, value: object) -> float:
-    """A time that something may take."""
+def seconds(name: str, value: object) -> None:
+    """Refuses all but a time that something may take."""
     kinds = (int, float, np.integer, np.floating)
     if isinstance(value, bool) or not isinstance(value, kinds):
         refuse(name, value, "seconds")
     if not (value > 0.0 and math.isfinite(value)):
         raise ValueError(f"{name} is {value} s: it is positive and finite")
-    return float(value)
 
 
 def at_least(name: str, value: object, least: int) -> None:
@@ -125,9 +132,8 @@ def check_call(method: str, request: object) -> None:
     unary = [one.name for one in service.methods
              if not (one.client_streaming or one.server_streaming)]
     if text("method", method) not in unary:
-        near = difflib.get_close_matches(method, unary, 1)
-        hint = f"; did you mean {near[0]}?" if near else ""
-        raise ValueError(f"there is no unary method {method}{hint}")
+        raise ValueError(f"there is no unary method {method}"
+                         f"{did_you_mean(method, unary)}")
     wanted = service.methods_by_name[method].input_type
     if getattr(request, "DESCRIPTOR", None) is not wanted:
         refuse("request", request, f"a v1.{wanted.name}")

@@ -13,7 +13,7 @@ from google.protobuf import field_mask_pb2
 from numpy.typing import ArrayLike
 
 from revisit import v1
-from revisit._arguments import check_call, message, numbers, refuse, text
+from revisit._arguments import check_call, instance, message, numbers, refuse, text
 from revisit._names import Vehicles, vehicle_name, vehicle_names
 from revisit._pose_columns import arrays_of, columns_of, sequence_at
 from revisit._settings import merged, number_of
@@ -183,25 +183,26 @@ def list_vehicles() -> Pages[v1.Vehicle]:
     return Pages("ListVehicles", v1.ListVehiclesRequest(page_size=PAGE), "vehicles")
 
 
-def settings_paths(names: Iterable[str], keywords: Mapping[str, Any]) -> list[str]:
-    """The settings that change, as masks name them."""
+def changed_paths(names: Iterable[str], keywords: Mapping[str, Any],
+                  display_name: Optional[str]) -> list[str]:
+    """The settings that change, and the display name unless it is None, as masks name
+    them."""
     names = [names] if isinstance(names, str) else names
-    return [f"settings.{name}" for name in (*names, *keywords)]
+    return [*(f"settings.{name}" for name in (*names, *keywords)),
+            *(["display_name"] if display_name is not None else [])]
 
 
 def update_vehicle(vehicle: str, settings: Optional[v1.VehicleSettings],
                    names: Iterable[str], display_name: Optional[str],
                    labels: Optional[Mapping[str, Optional[str]]],
                    keywords: Mapping[str, Any]) -> Call[v1.Vehicle]:
-    if not isinstance(labels, (Mapping, type(None))):
-        refuse("labels", labels, "a mapping of strings")
+    instance("labels", labels, (Mapping, type(None)), "a mapping of strings")
     labels = labels or {}
     changed = message(
         v1.Vehicle, name=vehicle_name(vehicle), display_name=display_name,
         settings=merged(v1.VehicleSettings, settings, keywords),
         labels={key: value for key, value in labels.items() if value is not None})
-    paths = [*settings_paths(names, keywords),
-             *(["display_name"] if display_name is not None else []),
+    paths = [*changed_paths(names, keywords, display_name),
              *(f"labels.{key}" for key in labels)]
     return unary("UpdateVehicle", message(
         v1.UpdateVehicleRequest,

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from revisit import v1
 from revisit._arguments import message, refuse, text
 from revisit._calls import (
-    PAGE, Call, Pages, add_findings, coordinates_of, covariance_of, settings_paths,
+    PAGE, Call, Pages, add_findings, changed_paths, coordinates_of, covariance_of,
     unary)
 from revisit._names import Vehicles, group_name, vehicle_name, vehicle_names
 from revisit._settings import merged
@@ -66,8 +66,7 @@ def update_group(group: str, settings: Optional[v1.GroupSettings],
                  keywords: Mapping[str, Any]) -> Call[v1.Group]:
     changed = message(v1.Group, name=group_name(group), display_name=display_name,
                       settings=merged(v1.GroupSettings, settings, keywords))
-    paths = [*settings_paths(names, keywords),
-             *(["display_name"] if display_name is not None else [])]
+    paths = changed_paths(names, keywords, display_name)
     return unary("UpdateGroup", message(
         v1.UpdateGroupRequest,
         group=changed, update_mask=field_mask_pb2.FieldMask(paths=paths),

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import Optional, Union
 
 from revisit import v1
-from revisit._arguments import message, refuse, text
+from revisit._arguments import instance, message, text
 
 #: By id or resource name; None for all.
 Vehicles = Union[str, Iterable[str], None]
@@ -21,8 +21,8 @@ def vehicle_name(vehicle: str) -> str:
 def vehicle_names(vehicles: Vehicles) -> list[str]:
     if isinstance(vehicles, str):
         vehicles = (vehicles,)
-    if not isinstance(vehicles, (Iterable, type(None))):
-        refuse("vehicles", vehicles, "ids or resource names of vehicles")
+    instance("vehicles", vehicles, (Iterable, type(None)),
+             "ids or resource names of vehicles")
     return [vehicle_name(vehicle) for vehicle in vehicles or ()]
 
 

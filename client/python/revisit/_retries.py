@@ -46,7 +46,8 @@ class CallOptions:
         """The attempts of one call; `deadline` counts before the client's own."""
         if deadline is None:
             deadline = self.bulk_deadline if call.is_bulk else self.deadline
-        seconds("deadline", deadline)
+        else:
+            seconds("deadline", deadline)
         return Attempts(caller, self.backoff, self.max_attempts, is_safe=call.is_safe,
                         takes_any_revision=call.takes_any_revision,
                         seconds=deadline, request_id=request_id)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import difflib
 import numbers
 import os
 import pathlib
@@ -21,6 +20,7 @@ from typing import Any, Optional
 
 import grpc
 
+from revisit._arguments import did_you_mean
 from revisit._program import find_program, flags_of, without_settings
 from revisit._text import printable
 from revisit.channel import PathLike
@@ -279,9 +279,8 @@ def _checked_value(name: str, value: Any, known: list[str]) -> Any:
         raise TypeError(f"{name} is not for a server of this process alone, which "
                         "listens on 127.0.0.1 without TLS and tokens")
     if key not in known:
-        near = difflib.get_close_matches(key, known, 1)
-        hint = f"; did you mean {near[0].replace('-', '_')}?" if near else ""
-        raise TypeError(f"revisitd has no setting {name}{hint}")
+        near = did_you_mean(name, (one.replace("-", "_") for one in known))
+        raise TypeError(f"revisitd has no setting {name}{near}")
     if isinstance(value, bool):
         return "on" if value else "off"
     if not isinstance(value, (str, numbers.Real, os.PathLike)):

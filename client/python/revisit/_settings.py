@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from typing import Any, Optional, TypeVar, Union
 
 from revisit import v1
-from revisit._arguments import message, refuse
+from revisit._arguments import did_you_mean, instance, message, refuse
 
 _T = TypeVar("_T", v1.VehicleSettings, v1.CandidateOptions, v1.GroupSettings)
 
@@ -35,18 +34,16 @@ def merged(kind: type[_T], base: Optional[_T],
     for a word that an enum does not have."""
     if isinstance(base, Mapping):
         base, keywords = None, {**base, **keywords}
-    if not isinstance(base, (kind, type(None))):
-        refuse("options" if kind is v1.CandidateOptions else "settings", base,
-               f"a v1.{kind.DESCRIPTOR.name}; its fields are keywords too")
+    instance("options" if kind is v1.CandidateOptions else "settings", base,
+             (kind, type(None)),
+             f"a v1.{kind.DESCRIPTOR.name}; its fields are keywords too")
     if not keywords:
         return base
     fields = kind.DESCRIPTOR.fields_by_name
     values: dict[str, Any] = {}
     for name, value in keywords.items():
         if name not in fields:
-            near = difflib.get_close_matches(name, fields, 1)
-            hint = f"; did you mean {near[0]}?" if near else ""
-            raise TypeError(f"there is no setting {name}{hint}")
+            raise TypeError(f"there is no setting {name}{did_you_mean(name, fields)}")
         if fields[name].enum_type is not None and value is not None:
             value = number_of(fields[name].enum_type, name, value)
         # None is no value: it leaves the field out.

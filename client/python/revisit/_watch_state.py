@@ -12,7 +12,7 @@ from typing import Any, Callable, Generic, Optional, TypeVar, Union
 from google.protobuf.timestamp_pb2 import Timestamp
 
 from revisit import v1
-from revisit._arguments import text
+from revisit._arguments import instance
 from revisit._calls import CheckPages, evidence_of, vehicle_of
 from revisit._stream_state import worth_another_connection
 from revisit.backoff import Backoff, BackoffOptions
@@ -125,8 +125,7 @@ class WatchState(Generic[_Event]):
                  backoff: BackoffOptions, make: Callable[..., _Event]) -> None:
         if cursor is not None and cursor_file is not None:
             raise ValueError("cursor and cursor_file: a watch goes on from one of them")
-        if cursor is not None:
-            text("cursor", cursor)
+        instance("cursor", cursor, (str, type(None)), "a string")
         if cursor_file is not None and not isinstance(cursor_file, CursorFile):
             cursor_file = CursorFile(cursor_file)
         self.file = cursor_file
