@@ -162,10 +162,9 @@ NodeIndex Slipped(const std::vector<PathStep>& path) {
   return most;
 }
 
-TEST(HeadingMatchTest, HardlyAPathGainsMoreUnlessItSlipsMore) {
+TEST(HeadingMatchTest, NoPathGainsMoreUnlessItSlipsMore) {
   TownSearch search;
   std::size_t slipped = 0;
-  std::size_t beyond = 0;
   std::size_t paths = 0;
   double to_spare = 0.0;
   double to_spare_closely = 0.0;
@@ -194,23 +193,18 @@ TEST(HeadingMatchTest, HardlyAPathGainsMoreUnlessItSlipsMore) {
         least_to_spare = std::min(least_to_spare, bound - ratio);
         EXPECT_LE(bound, most[node % NodeBlock::kSize]);
         if (ratio <= bound) continue;
-        const bool slips = Slipped(all->Path(way, end.node)) > kMostSlips;
-        ++(slips ? slipped : beyond);
-        if (slips) continue;
-        EXPECT_LE(ratio, most[node % NodeBlock::kSize])
+        ++slipped;
+        EXPECT_GT(Slipped(all->Path(way, end.node)), kMostSlips)
             << query << " " << end.node;
-        EXPECT_LT(ratio, bound + 3.0) << query << " " << end.node;
       }
     }
   }
-  std::cout << paths << " paths, " << slipped << " of which slipped and "
-            << beyond << " gained more; "
+  std::cout << paths << " paths, " << slipped << " of which slipped; "
             << to_spare / static_cast<double>(paths) << " nats to spare, "
             << to_spare_closely / static_cast<double>(paths)
             << " closely, at least " << least_to_spare << "\n";
   EXPECT_GT(paths, 100000u);
   EXPECT_LT(1000 * slipped, paths);
-  EXPECT_LT(100000 * beyond, paths);
   EXPECT_LT(to_spare_closely, 0.9 * to_spare);
 }
 
