@@ -140,8 +140,7 @@ def store_of(engine, directory):
         yield shared
 
 
-@pytest.mark.parametrize("engine", [
-    "sqlite", pytest.param("postgresql", marks=pytest.mark.release_build)])
+@pytest.mark.parametrize("engine", ["sqlite", "postgresql"])
 def test_checks_find_places_in_the_histories_of_others_once(tmp_path, drive, engine):
     with store_of(engine, tmp_path) as (store, flags):
         poses = poses_of(drive, CHECKED)
@@ -229,8 +228,6 @@ def checked_pair(stub, drive):
     return checked, group, cursor
 
 
-# Searches the whole drive several times over.
-@pytest.mark.release_build
 def test_links_decide_on_what_was_found_once_and_until_they_go(tmp_path, drive):
     store = tmp_path / "store"
     with Server(store, log_path=tmp_path / "first.log") as server:
