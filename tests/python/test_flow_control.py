@@ -1,6 +1,7 @@
 """A stream holds no more than it is allowed to, waits for a server that is slow, and
 leaves a connection on which nothing comes any more."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -42,23 +43,29 @@ except KeyboardInterrupt:
 """
 
 
-def test_a_program_that_waits_for_room_can_be_interrupted(
-        server, new_vehicle, tmp_path):
+@contextlib.contextmanager
+def over_a_stopped_server(source, server, vehicle):
+    """A program that has opened a stream, after which its server was stopped."""
     program = subprocess.Popen(
-        [sys.executable, "-c", WAITING, server.address, new_vehicle()],
+        [sys.executable, "-c", source, server.address, vehicle],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     try:
         assert program.stdout.readline() == "opened\n"
         os.kill(server.pid, signal.SIGSTOP)
+        yield program
+    finally:
+        os.kill(server.pid, signal.SIGCONT)
+        program.kill()
+        program.wait()
+
+
+def test_a_program_that_waits_for_room_can_be_interrupted(server, new_vehicle):
+    with over_a_stopped_server(WAITING, server, new_vehicle()) as program:
         program.stdin.write("\n")
         program.stdin.flush()
         assert program.stdout.readline() == "full\n"
         program.send_signal(signal.SIGINT)
         rest, _ = program.communicate(timeout=LONG)
-    finally:
-        os.kill(server.pid, signal.SIGCONT)
-        program.kill()
-        program.wait()
     assert rest == "interrupted, 0 acknowledged\n"
 
 
@@ -100,17 +107,9 @@ except KeyboardInterrupt:
 
 @pytest.mark.parametrize("what", WAITS)
 def test_an_interrupt_is_heard_that_comes_as_a_wait_begins(server, new_vehicle, what):
-    program = subprocess.Popen(
-        [sys.executable, "-c", LOST.replace("WAIT", WAITS[what]), server.address,
-         new_vehicle()], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-    try:
-        assert program.stdout.readline() == "opened\n"
-        os.kill(server.pid, signal.SIGSTOP)
+    source = LOST.replace("WAIT", WAITS[what])
+    with over_a_stopped_server(source, server, new_vehicle()) as program:
         rest, _ = program.communicate("\n", timeout=LONG)
-    finally:
-        os.kill(server.pid, signal.SIGCONT)
-        program.kill()
-        program.wait()
     assert rest == "interrupted\n"
 
 
